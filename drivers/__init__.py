@@ -1,0 +1,1 @@
+"""Drivers: raw bytes from each device become samples; nothing here knows what they are for."""

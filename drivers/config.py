@@ -1,0 +1,144 @@
+"""What the owner declares of each device: where it is, how it is set, and how far its readings can be off.
+
+Every bound is a half-width that the truth never leaves; its unit stands in its name. Bounds have no defaults: only
+the owner can know them.
+"""
+
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, ConfigDict, Field
+from pydantic.dataclasses import dataclass
+
+STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
+"""Unknown keys, infinities and NaN are refused."""
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+
+
+def _resolution(value: float) -> float:
+    if value not in (0.25, 0.5, 1.0):
+        raise ValueError("the scanner knows 0.25, 0.5 and 1.0 degrees")
+    return value
+
+
+def _rising(value: tuple[float, float]) -> tuple[float, float]:
+    if value[0] > value[1]:
+        raise ValueError("give [least, most]")
+    return value
+
+
+Resolution = Annotated[float, AfterValidator(_resolution)]
+LatencyMs = Annotated[tuple[NotNegative, NotNegative], AfterValidator(_rising)]
+"""[least, most] from acquisition to the read."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class LaserConfig:
+    """A SICK LMS2xx on a serial port, and how it is mounted on the robot."""
+
+    port: str
+    baud: Literal[9600, 19200, 38400, 500000] = 500000
+    """Rate to stream at; the scanner is found at any rate."""
+    scan_angle_deg: Literal[100, 180] = 180
+    resolution_deg: Resolution = 1.0
+    unit: Literal["mm", "cm"] = "mm"
+    write_configuration: bool = True
+    """May the driver write the scanner's EEPROM when its unit or measuring mode differs?"""
+    latency_ms: LatencyMs
+    """From the first byte's being sent to its being read."""
+    range_bound_m: Positive
+    """Range error: systematic + statistical + resolution."""
+    angle_bound_deg: NotNegative
+    """Scan-angle error of a beam's centre, plus half the beam's divergence."""
+    range_min_m: NotNegative = 0.3
+    range_max_m: Positive = 30.0
+    """Ranges outside [range_min_m, range_max_m] are not used."""
+    mount_x_m: float
+    mount_y_m: float
+    mount_z_m: float
+    mount_roll_deg: float = 0.0
+    mount_pitch_deg: float
+    """The paper's sign: negative looks down."""
+    mount_yaw_deg: float = 0.0
+    mount_position_bound_m: NotNegative
+    mount_angle_bound_deg: NotNegative
+    """Calibration error of each mounting angle."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class EncodersConfig:
+    """Left and right track counters in CAN frames."""
+
+    port: str
+    """Serial device of an slcan adapter, or the name of a SocketCAN interface."""
+    interface: Literal["slcan", "socketcan"] = "slcan"
+    bitrate: Literal[125000, 250000, 500000, 1000000] = 500000
+    dbc: str
+    """DBC file; a relative path starts at the configuration file's folder."""
+    left: str
+    """MESSAGE.SIGNAL of the left track's counter."""
+    right: str
+    left_metres_per_tick: float
+    """Negative where the counter falls when the robot drives forward."""
+    right_metres_per_tick: float
+    quantisation_ticks: NotNegative = 1.0
+    """How far a difference of two counts can be off the true number of (fractional) ticks."""
+    latency_ms: LatencyMs
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class ImuConfig:
+    """Inertial board: gyroscope, two dual-axis accelerometers and tilt sensor in MAVLink packets."""
+
+    port: str
+    baud: int = 115200
+    latency_ms: LatencyMs
+    clock_drift_ppm: NotNegative
+    """Rate error of the board's clock against the host's."""
+    gyro_bias_bound_dps: NotNegative
+    """Largest bias of any axis, ever."""
+    gyro_bias_drift_dps2: NotNegative
+    """Largest rate of change of a bias."""
+    gyro_noise_bound_dps: NotNegative
+    """Error of one packet's mean rate beside bias and scale."""
+    gyro_scale_bound: NotNegative
+    """Relative scale error, as 0.005 for half a percent."""
+    tilt_bound_deg: Positive
+    """Total error of roll and of pitch, lag and motion included."""
+    accel_bound_mps2: Positive
+    """Total error of one accelerometer axis (the robot's own acceleration is declared under [robot])."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class GpsConfig:
+    """GPS receiver: NMEA sentences on a serial port."""
+
+    port: str
+    baud: int = 115200
+    latency_ms: LatencyMs
+    """From the epoch of the fix to the read of its first sentence."""
+    gst_factor: Positive
+    """Half-width = gst_factor * GST sigma + floor."""
+    range_error_m: Positive
+    """Half-width without GST = hdop * range_error_m + floor."""
+    floor_horizontal_m: NotNegative
+    floor_vertical_m: NotNegative
+    rtk_fixed_horizontal_m: Positive | None = None
+    """Half-width of an RTK fixed solution (quality 4), if the owner vouches for one; used in place of GST and HDOP."""
+    rtk_fixed_vertical_m: Positive | None = None
+    antenna_x_m: float = 0.0
+    antenna_y_m: float = 0.0
+    antenna_z_m: float = 0.0
+    """Antenna in base_link."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class DevicesConfig:
+    """The robot's devices."""
+
+    laser: LaserConfig
+    encoders: EncodersConfig
+    imu: ImuConfig
+    gps: GpsConfig | None = None
+    """A robot without GPS maps in its local frame alone."""

@@ -1,0 +1,1 @@
+"""GPS receiver (NMEA 0183)."""

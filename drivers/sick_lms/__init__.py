@@ -1,0 +1,1 @@
+"""SICK LMS2xx laser scanner."""

@@ -1,0 +1,1 @@
+"""Track encoders on CAN."""

@@ -1,0 +1,1 @@
+"""Estimator: samples become a set that holds the robot's pose."""

@@ -1,0 +1,60 @@
+"""A pose known as a set: the outer box of all poses the robot may have had during a stretch of time."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+AXES = ("x", "y", "z", "roll", "pitch", "yaw")
+"""Order of the six axes everywhere: metres in the map frame, then radians of R = Rz(yaw) Ry(pitch) Rx(roll)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Guarantee:
+    """Do the bounds hold? Intact until measurements contradicted their declared errors."""
+
+    void_since_ns: int | None = None
+    """Host time of the first contradiction; None while intact."""
+    sensor: str | None = None
+    """Who contradicted, as `gps` or `tilt`."""
+
+    @property
+    def intact(self) -> bool:
+        """True while no measurement has contradicted its bound."""
+        return self.void_since_ns is None
+
+
+INTACT = Guarantee()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoundedPose:
+    """At every instant of [earliest_ns, latest_ns] the true pose of base_link in the map frame is in [low, high].
+
+    Axes as in AXES; yaw is unwrapped; bounds are outward rounded.
+    """
+
+    earliest_ns: int
+    latest_ns: int
+    low: NDArray[np.float64]
+    """[6]"""
+    high: NDArray[np.float64]
+    """[6]"""
+    guarantee: Guarantee = INTACT
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Anchor:
+    """Where the map frame stands on Earth, as a set.
+
+    enu = [east, north, up] + Rz(yaw) map, with ENU tangent at the WGS-84 origin given here.
+    """
+
+    origin_lat_deg: float
+    origin_lon_deg: float
+    origin_alt_m: float
+    low: NDArray[np.float64]
+    """[4] east, north, up of the map's origin in metres, yaw in radians."""
+    high: NDArray[np.float64]
+    """[4]"""
+    guarantee: Guarantee = INTACT

@@ -1,0 +1,47 @@
+"""What the owner declares of the robot's motion, and how the filter is set."""
+
+from typing import Annotated
+
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from drivers.config import STRICT, NotNegative, Positive
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class RobotConfig:
+    """The tracked robot and the limits of its motion (SMF.md section 2). The truth never exceeds any of them."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9_-]+$")
+    """Stands in every key on the wire."""
+    track_length_m: Positive
+    track_gauge_m: Positive
+    """Between the middles of the tracks."""
+    max_speed_mps: Positive
+    max_acceleration_mps2: Positive
+    """|dv/dt| along the tracks, and the robot's own acceleration that an accelerometer axis can feel."""
+    max_turn_rate_dps: Positive
+    """|body rate|, each axis."""
+    max_turn_acceleration_dps2: Positive
+    slip_ratio: NotNegative
+    """Each track's longitudinal slip: |ground travel - track travel| <= slip_ratio * |track travel|."""
+    lateral_slip_ratio: NotNegative
+    """|v_lateral| <= lateral_slip_ratio * |v| + turning_centre_m * |turn rate|."""
+    turning_centre_m: NotNegative
+    """Fore-aft offset of the instantaneous turning centre."""
+    normal_slip_ratio: NotNegative
+    """|v_normal| <= normal_slip_ratio * |v|: sinking, bouncing."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class FilterConfig:
+    """How the filter runs."""
+
+    reordering_window_ms: Positive = 100.0
+    """Samples are taken in the order of their stamps inside this window; later ones are dropped and counted."""
+    standstill_s: Positive | None = 0.5
+    """Tracks without a tick for this long: the robot is declared to stand still. None: never."""
+    standstill_rate_dps: NotNegative = 0.02
+    """Body rate that a standing robot may still have (vibration)."""
+    history_s: Annotated[float, Field(gt=0, le=600)] = 5.0
+    """How long past poses are kept for scans that wait."""

@@ -1,0 +1,1 @@
+"""Mapper: scans and pose sets become a map of elevation intervals."""
