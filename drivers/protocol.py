@@ -2,6 +2,7 @@
 
 The shell around it (service/reader.py) does the input and output:
 
+    protocol.connection_made(now)                    # at each opening of the port
     while running:
         transport.write(protocol.data_to_send())     # whatever it wants sent now
         transport.set_baud(protocol.baud)            # if it wants another line rate
@@ -31,6 +32,12 @@ class DeviceProtocol(Protocol[S_co]):
     @property
     def deadline_ns(self) -> int | None:
         """When `advance` wants to be called next; None if nothing is pending."""
+
+    def connection_made(self, now_ns: int) -> None:
+        """The port was opened, or opened again after a loss: begin afresh, trust nothing of the old stream.
+
+        Counts are kept; epochs rise, so that nobody subtracts across the gap.
+        """
 
     def receive_data(self, data: bytes, stamp_ns: int) -> Sequence[S_co]:
         """Take bytes that one read gave at host time `stamp_ns`; return the samples they complete."""
