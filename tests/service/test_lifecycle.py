@@ -1,0 +1,126 @@
+"""Start, watchdog, signals."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from service.lifecycle import ServiceNotifier, stop_on_signals
+
+
+class FakeSystemd:
+    """The other end of NOTIFY_SOCKET."""
+
+    def __init__(self, address: str) -> None:
+        self.address = address
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.socket.bind("\0" + address[1:] if address.startswith("@") else address)
+        self.socket.settimeout(5)
+
+    def heard(self) -> str:
+        return self.socket.recv(4096).decode()
+
+    def silent(self) -> bool:
+        self.socket.setblocking(False)
+        try:
+            self.socket.recv(4096)
+        except BlockingIOError:
+            return True
+        finally:
+            self.socket.settimeout(5)
+        return False
+
+
+@pytest.fixture(params=["file", "abstract"])
+def systemd(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[FakeSystemd]:
+    address = str(tmp_path / "notify") if request.param == "file" else f"@terrabound-test-{os.getpid()}"
+    fake = FakeSystemd(address)
+    yield fake
+    fake.socket.close()
+
+
+def test_systemd_hears_ready_status_and_stopping(systemd: FakeSystemd) -> None:
+    """Words arrive over file and abstract sockets, in their order; an unchanged status is said once."""
+    notifier = ServiceNotifier({"NOTIFY_SOCKET": systemd.address})
+    notifier.ready()
+    notifier.status("mapping,\n75 scans/s")
+    notifier.status("mapping, 75 scans/s")
+    notifier.stopping()
+    assert [systemd.heard() for _ in range(3)] == ["READY=1", "STATUS=mapping, 75 scans/s", "STOPPING=1"]
+    assert systemd.silent()
+    notifier.close()
+
+
+def test_the_watchdog_is_fed_at_half_its_time_and_only_while_samples_flow(systemd: FakeSystemd) -> None:
+    """A pipeline that stands still isn't fed, so systemd restarts a service that hangs."""
+    notifier = ServiceNotifier({"NOTIFY_SOCKET": systemd.address, "WATCHDOG_USEC": "10000000"})
+    assert notifier.watchdog_period_ns == 5_000_000_000
+    fed = [notifier.feed(int(second * 1e9), flowing) for second, flowing in
+           [(0, False), (1, True), (2, True), (5.9, True), (6, True), (20, False), (21, True)]]  # fmt: skip
+    assert fed == [False, True, False, False, True, False, True]
+    assert [systemd.heard() for _ in range(3)] == ["WATCHDOG=1"] * 3
+    assert systemd.silent()
+    notifier.close()
+
+
+@pytest.mark.parametrize("usec", ["", "0", "-5", "abc", "1.5", "²"])
+def test_without_a_proper_watchdog_nothing_is_fed(usec: str) -> None:
+    """A missing, zero or garbled WATCHDOG_USEC means: no watchdog."""
+    notifier = ServiceNotifier({"WATCHDOG_USEC": usec})
+    assert notifier.watchdog_period_ns is None
+    assert not notifier.feed(0, True)
+
+
+def test_a_watchdog_meant_for_another_process_is_not_ours() -> None:
+    """WATCHDOG_PID names the process that systemd expects to hear from."""
+    environment = {"WATCHDOG_USEC": "1000000", "WATCHDOG_PID": "77"}
+    assert ServiceNotifier(environment, pid=77).watchdog_period_ns == 500_000_000
+    assert ServiceNotifier(environment, pid=78).watchdog_period_ns is None
+
+
+def test_a_missing_or_deaf_systemd_never_stops_the_service(tmp_path: Path) -> None:
+    """No socket, a vanished one, and one that nobody reads: all are survived without blocking."""
+    ServiceNotifier({}).ready()
+    ServiceNotifier({"NOTIFY_SOCKET": str(tmp_path / "gone")}).ready()
+    deaf = FakeSystemd(str(tmp_path / "deaf"))
+    notifier = ServiceNotifier({"NOTIFY_SOCKET": deaf.address})
+    for number in range(2000):
+        notifier.status(f"status {number}")
+    notifier.close()
+    deaf.socket.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_the_process_in_order_with_code_zero(number: signal.Signals) -> None:
+    """SIGTERM and SIGINT set the event; the process ends by itself and says 0."""
+    program = (
+        "from service.lifecycle import stop_on_signals\n"
+        "with stop_on_signals() as stop:\n"
+        "    print('running', flush=True)\n"
+        "    assert stop.wait(20)\n"
+        "print('ended in order', flush=True)\n"
+    )
+    process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "running\n"
+    process.send_signal(number)
+    rest, _ = process.communicate(timeout=20)
+    assert (rest, process.returncode) == ("ended in order\n", 0)
+
+
+def test_a_second_signal_interrupts_an_end_that_hangs() -> None:
+    """After the first signal the usual behaviour is back, and leaving the block restores it as well."""
+    before = signal.getsignal(signal.SIGINT)
+    told: list[str] = []
+    with stop_on_signals(tell=told.append) as stop:
+        assert signal.getsignal(signal.SIGINT) is not before
+        os.kill(os.getpid(), signal.SIGINT)
+        assert stop.wait(5)
+        assert signal.getsignal(signal.SIGINT) is before
+    assert told == ["SIGINT"]
+    assert signal.getsignal(signal.SIGINT) is before
