@@ -1,0 +1,194 @@
+"""How the robot's devices, queues and guarantee are doing: for `.../health`, for people, for the watchdog.
+
+Every thread reports here, one short lock at a time; a snapshot is a plain dict, ready for JSON. Device states:
+
+    CONNECTING --port_opened--> STALE --bytes--> DEGRADED --samples--> STREAMING
+                                  ^                 |                      |
+                                  +---- silent for longer than allowed ----+
+    any --port_failed--> LOST (CONNECTING while the port has never been open)
+
+DEGRADED: bytes come, but no samples, or dirt among them. State is worked out when somebody asks; nothing runs.
+"""
+
+import threading
+from collections import Counter, deque
+from collections.abc import Mapping
+from enum import StrEnum
+from typing import Any
+
+from estimator.bounded_pose import INTACT, Guarantee
+
+RATE_WINDOW_NS = 2_000_000_000
+"""Rates are means over at least this long (and dirt this recent degrades a device)."""
+FLOW_TIMEOUT_NS = 2_000_000_000
+"""The pipeline counts as flowing for this long after it took a sample."""
+DIRT = ("bad_", "skipped_", "short_", "unknown_", "garbage", "framing_", "overrun", "rejected")
+"""Beginnings of the counts that tell of dirt on a line."""
+
+
+class DeviceState(StrEnum):
+    """What a device does."""
+
+    CONNECTING = "CONNECTING"
+    STREAMING = "STREAMING"
+    DEGRADED = "DEGRADED"
+    STALE = "STALE"
+    LOST = "LOST"
+
+
+class _Device:
+    """What is remembered of one device."""
+
+    def __init__(self, stale_after_ns: int, counts: Mapping[str, int]) -> None:
+        self.stale_after_ns = stale_after_ns
+        self.counts = counts
+        self.open = False
+        self.failure: str | None = None
+        self.openings = 0
+        self.bytes = 0
+        self.samples = 0
+        self.byte_ns: int | None = None
+        self.sample_ns: int | None = None
+        self.dirt = _dirt(counts)
+        self.dirt_ns: int | None = None
+        self.history: deque[tuple[int, int, int]] = deque()
+        """(time, bytes, samples) so far, a few a second, reaching back at least RATE_WINDOW_NS."""
+
+    def received(self, byte_count: int, sample_count: int, now_ns: int) -> None:
+        self.bytes += byte_count
+        self.samples += sample_count
+        if byte_count:
+            self.byte_ns = now_ns
+        if sample_count:
+            self.sample_ns = now_ns
+        if not self.history or now_ns - self.history[-1][0] >= RATE_WINDOW_NS // 8:
+            self._look_for_dirt(now_ns)
+            self.history.append((now_ns, self.bytes, self.samples))
+            while len(self.history) > 2 and now_ns - self.history[1][0] > RATE_WINDOW_NS:
+                self.history.popleft()
+
+    def _look_for_dirt(self, now_ns: int) -> None:
+        dirt = _dirt(self.counts)
+        if dirt > self.dirt:
+            self.dirt_ns = now_ns
+        self.dirt = dirt
+
+    def state(self, now_ns: int) -> DeviceState:
+        if not self.open:
+            return DeviceState.LOST if self.openings else DeviceState.CONNECTING
+        if self.byte_ns is None or now_ns - self.byte_ns > self.stale_after_ns:
+            return DeviceState.STALE
+        self._look_for_dirt(now_ns)
+        dirty = self.dirt_ns is not None and now_ns - self.dirt_ns <= RATE_WINDOW_NS
+        if dirty or self.sample_ns is None or now_ns - self.sample_ns > self.stale_after_ns:
+            return DeviceState.DEGRADED
+        return DeviceState.STREAMING
+
+    def rates(self, now_ns: int) -> tuple[float, float]:
+        """(bytes, samples) per second over the last seconds."""
+        if not self.history or now_ns <= self.history[0][0]:
+            return 0.0, 0.0
+        began_ns, byte_count, sample_count = self.history[0]
+        seconds = (now_ns - began_ns) * 1e-9
+        return (self.bytes - byte_count) / seconds, (self.samples - sample_count) / seconds
+
+
+def _dirt(counts: Mapping[str, int]) -> int:
+    """How much dirt a protocol has counted."""
+    # A copy first: the reader's thread may add a name meanwhile.
+    return sum(count for name, count in dict(counts).items() if name.startswith(DIRT))
+
+
+class Health:
+    """What is known of the robot's state; any thread may report and ask."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._devices: dict[str, _Device] = {}
+        self._pipeline: dict[str, int] = {}
+        self._drops: Counter[str] = Counter()
+        self._guarantee = INTACT
+        self._flowed_ns: int | None = None
+
+    def watch(self, name: str, stale_after_s: float, counts: Mapping[str, int] | None = None) -> None:
+        """Keep an eye on a device: silence longer than `stale_after_s` is a fault; `counts` are its protocol's own."""
+        with self._lock:
+            self._devices[name] = _Device(round(stale_after_s * 1e9), {} if counts is None else counts)
+
+    def port_opened(self, name: str) -> None:
+        """The device's port is open."""
+        with self._lock:
+            device = self._devices[name]
+            device.open, device.failure = True, None
+            device.openings += 1
+
+    def port_failed(self, name: str, failure: str) -> None:
+        """The device's port could not be opened, or went away."""
+        with self._lock:
+            device = self._devices[name]
+            device.open, device.failure = False, failure
+
+    def received(self, name: str, byte_count: int, sample_count: int, now_ns: int) -> None:
+        """A read gave bytes, and they completed samples."""
+        with self._lock:
+            self._devices[name].received(byte_count, sample_count, now_ns)
+
+    def dropped(self, name: str, total: int) -> None:
+        """So many samples of a device were dropped by the full queue, in all."""
+        with self._lock:
+            self._drops[name] = total
+
+    def processed(self, now_ns: int, counts: Mapping[str, int], guarantee: Guarantee = INTACT) -> None:
+        """The pipeline took samples; `counts` are its own."""
+        with self._lock:
+            self._flowed_ns = now_ns
+            self._pipeline = dict(counts)
+            self._guarantee = guarantee
+
+    def flowing(self, now_ns: int) -> bool:
+        """Did the pipeline take samples a moment ago? Only then is the watchdog fed."""
+        with self._lock:
+            return self._flowed_ns is not None and now_ns - self._flowed_ns <= FLOW_TIMEOUT_NS
+
+    def state(self, name: str, now_ns: int) -> DeviceState:
+        """What a device does."""
+        with self._lock:
+            return self._devices[name].state(now_ns)
+
+    def status_line(self, now_ns: int) -> str:
+        """One line for `systemctl status`."""
+        with self._lock:
+            states = ", ".join(f"{name} {device.state(now_ns).lower()}" for name, device in self._devices.items())
+            guarantee = self._guarantee
+        return states if guarantee.intact else f"bounds contradicted by {guarantee.sensor}; {states}"
+
+    def snapshot(self, now_ns: int) -> dict[str, Any]:
+        """Everything, as plain values for JSON."""
+        with self._lock:
+            flowing = self._flowed_ns is not None and now_ns - self._flowed_ns <= FLOW_TIMEOUT_NS
+            return {
+                "time_ns": now_ns,
+                "flowing": flowing,
+                "guarantee": {
+                    "intact": self._guarantee.intact,
+                    "void_since_ns": self._guarantee.void_since_ns,
+                    "sensor": self._guarantee.sensor,
+                },
+                "devices": {name: self._device(name, device, now_ns) for name, device in self._devices.items()},
+                "pipeline": dict(self._pipeline),
+            }
+
+    def _device(self, name: str, device: _Device, now_ns: int) -> dict[str, Any]:
+        """One device's row of the snapshot."""
+        bytes_per_s, samples_per_s = device.rates(now_ns)
+        return {
+            "state": device.state(now_ns).value,
+            "failure": device.failure,
+            "openings": device.openings,
+            "bytes": device.bytes,
+            "samples": device.samples,
+            "bytes_per_s": round(bytes_per_s, 1),
+            "samples_per_s": round(samples_per_s, 2),
+            "dropped": self._drops[name],
+            "counts": dict(device.counts),
+        }
