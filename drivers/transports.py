@@ -1,0 +1,209 @@
+"""Where bytes come from: serial ports and SocketCAN interfaces. The only file that opens a device.
+
+A transport knows no protocol. It hands over what one read gave, at once, however little that is; a port that went away
+is PortLost, once and for all: close it and open a new one.
+"""
+
+import contextlib
+import errno
+import os
+import select
+import termios
+from pathlib import Path
+from typing import Protocol
+
+import can
+import serial
+
+from drivers.errors import PortBusy, PortError, PortLost, PortMissing
+from drivers.track_encoders.codec import CanFrame, pack_can_frame, unpack_can_frame
+
+_READ_BYTES = 65536
+_WRITE_PATIENCE_S = 1.0
+_FRAMES_PER_READ = 256
+
+
+class Transport(Protocol):
+    """A duplex wire to one device."""
+
+    name: str
+    """The port as the owner wrote it, for messages."""
+
+    def read(self, timeout_s: float) -> bytes:
+        """What has arrived; waits for the first byte at most `timeout_s`, then b"". Raises PortLost."""
+
+    def write(self, data: bytes) -> None:
+        """Send all of `data`. Raises PortLost."""
+
+    def set_baud(self, baud: int) -> None:
+        """Speak at `baud` from now on; what was written before still leaves at the old rate."""
+
+    def close(self) -> None:
+        """Let go of the port; any number of times."""
+
+
+class SerialTransport:
+    """A tty, raw, 8 data bits, no parity, 1 stop bit, no flow control, and ours alone."""
+
+    def __init__(self, port: str, line: serial.Serial) -> None:
+        """Use `open_serial`."""
+        self.name = port
+        self._line = line
+        self._fd = line.fileno()
+        self._readable = select.poll()
+        self._readable.register(self._fd, select.POLLIN)
+        self._writable = select.poll()
+        self._writable.register(self._fd, select.POLLOUT)
+
+    def read(self, timeout_s: float) -> bytes:
+        """What has arrived; waits for the first byte at most `timeout_s`, then b""."""
+        try:
+            if not self._readable.poll(max(0.0, timeout_s) * 1000):
+                return b""
+            data = os.read(self._fd, _READ_BYTES)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            raise self._lost(error) from error
+        if not data:  # ready to read, yet nothing to read: the other end is gone
+            raise self._lost(None)
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send all of `data`; a line that takes nothing for a second counts as lost."""
+        rest = memoryview(data)
+        while rest:
+            try:
+                if not self._writable.poll(_WRITE_PATIENCE_S * 1000):
+                    raise self._lost(TimeoutError(f"it took no bytes for {_WRITE_PATIENCE_S:g} s"))
+                rest = rest[os.write(self._fd, rest) :]
+            except BlockingIOError:
+                continue
+            except OSError as error:
+                raise self._lost(error) from error
+
+    def set_baud(self, baud: int) -> None:
+        """Speak at `baud` from now on; what was written before still leaves at the old rate."""
+        if baud == self._line.baudrate:
+            return
+        try:
+            termios.tcdrain(self._fd)
+            self._line.baudrate = baud
+        except (OSError, termios.error) as error:
+            raise self._lost(error) from error
+        except ValueError as error:
+            raise PortError(f"{self.name}: this port can't run at {baud} baud ({error}); set another rate") from error
+
+    def close(self) -> None:
+        """Let go of the port."""
+        with contextlib.suppress(OSError, termios.error):
+            self._line.close()
+
+    def _lost(self, cause: Exception | None) -> PortLost:
+        why = f" ({cause})" if cause else ""
+        return PortLost(
+            f"{self.name}: the port went away{why}; check its plug and cable, it is opened again when it returns"
+        )
+
+
+def open_serial(port: str, baud: int) -> SerialTransport:
+    """Open the tty `port` exclusively; what it had buffered is thrown away, since nobody knows when that came."""
+    try:
+        line = serial.Serial(port, baud, timeout=0, exclusive=True, xonxoff=False, rtscts=False, dsrdtr=False)
+    except (OSError, termios.error) as error:  # SerialException is an OSError
+        raise _refusal(port, baud, error) from error
+    except ValueError as error:
+        raise PortError(f"{port}: {baud} baud is not possible ({error}); set another rate") from error
+    # A USB adapter may hold bytes back for 16 ms unless asked not to; others don't know the question.
+    with contextlib.suppress(OSError, ValueError, NotImplementedError):
+        line.set_low_latency_mode(True)
+    return SerialTransport(port, line)
+
+
+def _refusal(port: str, baud: int, error: Exception) -> PortError:
+    """The error that tells a person why `port` can't be opened, and what to do."""
+    number = getattr(error, "errno", None)
+    if number in (errno.ENOENT, errno.ENXIO, errno.ENODEV, errno.EIO):
+        there = sorted(str(path) for path in Path(port).parent.glob("*")) if "serial" in port else []
+        seen = f" (there are: {', '.join(there)})" if there else ""
+        return PortMissing(f"{port}: no such port{seen}; plug the device in, or name its port in the configuration")
+    if number in (errno.EBUSY, errno.EAGAIN):
+        return PortBusy(f"{port}: another process has this port open; end it, or name another port")
+    if number in (errno.EACCES, errno.EPERM):
+        return PortError(f"{port}: no permission to open it; add this user to the group that owns it (often `dialout`)")
+    return PortError(f"{port}: can't be used as a serial port at {baud} baud ({error}); name the device's own port")
+
+
+class SocketCanTransport:
+    """A CAN interface of the kernel; its bytes are Linux `struct can_frame`, 16 a frame."""
+
+    def __init__(self, interface: str, bus: can.BusABC) -> None:
+        """Use `open_socketcan`."""
+        self.name = interface
+        self._bus = bus
+
+    def read(self, timeout_s: float) -> bytes:
+        """All frames that have arrived; waits for the first at most `timeout_s`."""
+        frames: list[bytes] = []
+        wait_s = max(0.0, timeout_s)
+        try:
+            while len(frames) < _FRAMES_PER_READ and (message := self._bus.recv(wait_s)) is not None:
+                frames.append(pack_can_frame(_frame_of(message)))
+                wait_s = 0.0
+        except (can.CanError, OSError) as error:
+            raise self._lost(error) from error
+        return b"".join(frames)
+
+    def write(self, data: bytes) -> None:
+        """Send whole frames."""
+        for start in range(0, len(data), 16):
+            frame = unpack_can_frame(data[start : start + 16])
+            if frame is None:
+                raise ValueError("write whole struct can_frame records of 16 bytes")
+            message = can.Message(
+                arbitration_id=frame.can_id,
+                is_extended_id=frame.extended,
+                is_remote_frame=frame.remote,
+                data=None if frame.remote else frame.data,
+                dlc=frame.dlc,
+            )
+            try:
+                self._bus.send(message, timeout=_WRITE_PATIENCE_S)
+            except (can.CanError, OSError) as error:
+                raise self._lost(error) from error
+
+    def set_baud(self, baud: int) -> None:
+        """The bit rate of an interface belongs to the system's network configuration, not to us."""
+
+    def close(self) -> None:
+        """Let go of the interface."""
+        with contextlib.suppress(can.CanError, OSError):
+            self._bus.shutdown()
+
+    def _lost(self, cause: Exception) -> PortLost:
+        return PortLost(
+            f"{self.name}: the CAN interface went away ({cause}); check it with `ip -details link show {self.name}`"
+        )
+
+
+def open_socketcan(interface: str, bitrate: int) -> SocketCanTransport:
+    """Open the kernel's CAN interface; it must be up at `bitrate` already, which only the system may set."""
+    try:
+        bus = can.Bus(interface="socketcan", channel=interface)
+    except (can.CanError, OSError) as error:
+        raise PortMissing(
+            f"{interface}: no CAN interface that is up ({error}); "
+            f"bring it up with `ip link set {interface} up type can bitrate {bitrate}`"
+        ) from error
+    return SocketCanTransport(interface, bus)
+
+
+def _frame_of(message: can.Message) -> CanFrame:
+    return CanFrame(
+        can_id=message.arbitration_id,
+        data=bytes(message.data or b""),
+        dlc=message.dlc,
+        extended=message.is_extended_id,
+        remote=message.is_remote_frame,
+        error=message.is_error_frame,
+    )

@@ -1,0 +1,178 @@
+"""Serial ports as the service meets them, over real pseudo-terminals."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from drivers.errors import PortBusy, PortError, PortLost, PortMissing
+from drivers.transports import SerialTransport, open_serial, open_socketcan
+from simulator.ports import PseudoPort
+
+EVERY_BYTE = bytes(range(256))
+
+
+@pytest.fixture
+def port(tmp_path: Path) -> Iterator[PseudoPort]:
+    """A port with a stable name."""
+    pseudo = PseudoPort(tmp_path / "gps")
+    yield pseudo
+    pseudo.close()
+
+
+@pytest.fixture
+def host(port: PseudoPort) -> Iterator[SerialTransport]:
+    """The host's end of it."""
+    transport = open_serial(port.path, 115200)
+    yield transport
+    transport.close()
+
+
+def read_exactly(transport: SerialTransport, n: int) -> bytes:
+    """Read until `n` bytes have come."""
+    data = b""
+    while len(data) < n:
+        chunk = transport.read(10)
+        assert chunk
+        data += chunk
+    return data
+
+
+def write_until_read(port: PseudoPort, n: int) -> bytes:
+    """What the host wrote, `n` bytes of it."""
+    data = b""
+    while len(data) < n:
+        data += port.read()
+    return data
+
+
+def test_every_byte_value_passes_unchanged_both_ways(port: PseudoPort, host: SerialTransport) -> None:
+    """XON, XOFF, carriage return, interrupt: all are plain data."""
+    port.write(EVERY_BYTE)
+    assert read_exactly(host, 256) == EVERY_BYTE
+    host.write(EVERY_BYTE)
+    assert write_until_read(port, 256) == EVERY_BYTE
+
+
+def test_silence_is_an_empty_read(host: SerialTransport) -> None:
+    """Waiting out the timeout gives no bytes and no exception."""
+    assert host.read(0.0) == b""
+    assert host.read(0.01) == b""
+
+
+def test_more_than_the_kernel_holds_arrives_whole(port: PseudoPort, host: SerialTransport) -> None:
+    """What the pty can't take waits in the backlog and follows in order."""
+    sent = os.urandom(200_000)
+    port.write(sent)
+    got = b""
+    while len(got) < len(sent):
+        got += host.read(10)
+        port.write()
+    assert got == sent
+    assert port.dropped_bytes == 0
+
+
+def test_backlog_is_bounded(port: PseudoPort, host: SerialTransport) -> None:
+    """A host that never reads costs dropped bytes, counted, not memory."""
+    for _ in range(6):
+        port.write(bytes(500_000))
+    assert port.dropped_bytes > 1_500_000
+    assert host.read(0)
+
+
+def test_bytes_sent_to_nobody_are_gone(port: PseudoPort) -> None:
+    """A host that opens late gets nothing old."""
+    port.write(b"old")
+    host = open_serial(port.path, 9600)
+    port.write(b"new")
+    assert read_exactly(host, 3) == b"new"
+    host.close()
+    assert port.dropped_bytes == 3
+
+
+def test_unplugging_is_seen_at_once(port: PseudoPort, host: SerialTransport) -> None:
+    """The next read says that the port went away, and names it."""
+    port.unplug()
+    with pytest.raises(PortLost, match=port.path):
+        host.read(10)
+    with pytest.raises(PortLost, match="went away"):
+        host.write(b"hello")
+    with pytest.raises(PortLost):
+        host.set_baud(9600)
+    host.close()
+    host.close()
+
+
+def test_last_words_before_unplugging_may_be_read_but_nothing_is_invented(
+    port: PseudoPort, host: SerialTransport
+) -> None:
+    """Bytes sent just before the plug was pulled come out right or not at all."""
+    port.write(b"goodbye")
+    port.unplug()
+    got: list[bytes] = []
+    with pytest.raises(PortLost):
+        got.extend(iter(lambda: host.read(10), None))
+    assert b"goodbye".startswith(b"".join(got))
+
+
+def test_port_that_is_gone_is_missing_until_replugged(port: PseudoPort, host: SerialTransport) -> None:
+    """The same name works again after a replug, though another pty stands behind it."""
+    port.unplug()
+    host.close()
+    with pytest.raises(PortMissing, match=port.path):
+        open_serial(port.path, 9600)
+    port.replug()
+    again = open_serial(port.path, 9600)
+    port.write(b"back")
+    assert read_exactly(again, 4) == b"back"
+    again.close()
+
+
+def test_host_may_close_and_open_again(port: PseudoPort, host: SerialTransport) -> None:
+    """Closing the host's end doesn't hurt the device's."""
+    assert port.host_present
+    host.close()
+    assert not port.host_present
+    assert port.read() == b""
+    again = open_serial(port.path, 9600)
+    again.write(b"hello")
+    assert write_until_read(port, 5) == b"hello"
+    again.close()
+
+
+def test_second_open_is_refused(port: PseudoPort, host: SerialTransport) -> None:
+    """One port, one owner; the message says what to do."""
+    with pytest.raises(PortBusy, match="another process"):
+        open_serial(port.path, 9600)
+    host.close()
+    open_serial(port.path, 9600).close()
+
+
+def test_device_sees_the_hosts_rate(port: PseudoPort, host: SerialTransport) -> None:
+    """A change of rate is visible at the device's end, so that it can garble what doesn't match."""
+    assert port.host_baud == 115200
+    for baud in (9600, 19200, 38400, 500000):
+        host.set_baud(baud)
+        assert port.host_baud == baud
+
+
+def test_no_port_and_no_tty_are_told_apart(tmp_path: Path) -> None:
+    """Each message names the path and what to do."""
+    with pytest.raises(PortMissing, match="plug the device in"):
+        open_serial(str(tmp_path / "none"), 9600)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(PortError, match="name the device's own port"):
+        open_serial(str(tmp_path / "file"), 9600)
+
+
+def test_impossible_rate_is_refused(port: PseudoPort) -> None:
+    """A rate below zero is an error a person can read."""
+    with pytest.raises(PortError, match="set another rate"):
+        open_serial(port.path, -1)
+
+
+def test_missing_can_interface_says_how_to_bring_it_up() -> None:
+    """The command to type stands in the message."""
+    with pytest.raises(PortMissing, match="ip link set nocan0 up type can bitrate 500000"):
+        open_socketcan("nocan0", 500000)
