@@ -21,7 +21,7 @@ from estimator.bounded_pose import INTACT, Guarantee
 RATE_WINDOW_NS = 2_000_000_000
 """Rates are means over at least this long (and dirt this recent degrades a device)."""
 FLOW_TIMEOUT_NS = 2_000_000_000
-"""The pipeline counts as flowing for this long after it took a sample."""
+"""How long samples may lie before the pipeline takes one."""
 DIRT = ("bad_", "skipped_", "short_", "unknown_", "garbage", "framing_", "overrun", "rejected")
 """Beginnings of the counts that tell of dirt on a line."""
 
@@ -108,7 +108,8 @@ class Health:
         self._pipeline: dict[str, int] = {}
         self._drops: Counter[str] = Counter()
         self._guarantee = INTACT
-        self._flowed_ns: int | None = None
+        self._unanswered_ns: int | None = None
+        """When the first sample came that the pipeline has not answered; None where it owes nothing."""
 
     def watch(self, name: str, stale_after_s: float, counts: Mapping[str, int] | None = None) -> None:
         """Keep an eye on a device: silence longer than `stale_after_s` is a fault; `counts` are its protocol's own."""
@@ -132,23 +133,29 @@ class Health:
         """A read gave bytes, and they completed samples."""
         with self._lock:
             self._devices[name].received(byte_count, sample_count, now_ns)
+            if sample_count and self._unanswered_ns is None:
+                self._unanswered_ns = now_ns
 
     def dropped(self, name: str, total: int) -> None:
         """So many samples of a device were dropped by the full queue, in all."""
         with self._lock:
             self._drops[name] = total
 
-    def processed(self, now_ns: int, counts: Mapping[str, int], guarantee: Guarantee = INTACT) -> None:
+    def processed(self, counts: Mapping[str, int], guarantee: Guarantee = INTACT) -> None:
         """The pipeline took samples; `counts` are its own."""
         with self._lock:
-            self._flowed_ns = now_ns
+            self._unanswered_ns = None
             self._pipeline = dict(counts)
             self._guarantee = guarantee
 
     def flowing(self, now_ns: int) -> bool:
-        """Did the pipeline take samples a moment ago? Only then is the watchdog fed."""
+        """Do samples that arrive flow through the pipeline? Only then is the watchdog fed.
+
+        Where no samples arrive (sensors unplugged or without power) nothing is owed: a restart would not bring
+        them back, and would cost the map.
+        """
         with self._lock:
-            return self._flowed_ns is not None and now_ns - self._flowed_ns <= FLOW_TIMEOUT_NS
+            return self._flowing(now_ns)
 
     def state(self, name: str, now_ns: int) -> DeviceState:
         """What a device does."""
@@ -165,10 +172,9 @@ class Health:
     def snapshot(self, now_ns: int) -> dict[str, Any]:
         """Everything, as plain values for JSON."""
         with self._lock:
-            flowing = self._flowed_ns is not None and now_ns - self._flowed_ns <= FLOW_TIMEOUT_NS
             return {
                 "time_ns": now_ns,
-                "flowing": flowing,
+                "flowing": self._flowing(now_ns),
                 "guarantee": {
                     "intact": self._guarantee.intact,
                     "void_since_ns": self._guarantee.void_since_ns,
@@ -177,6 +183,9 @@ class Health:
                 "devices": {name: self._device(name, device, now_ns) for name, device in self._devices.items()},
                 "pipeline": dict(self._pipeline),
             }
+
+    def _flowing(self, now_ns: int) -> bool:
+        return self._unanswered_ns is None or now_ns - self._unanswered_ns <= FLOW_TIMEOUT_NS
 
     def _device(self, name: str, device: _Device, now_ns: int) -> dict[str, Any]:
         """One device's row of the snapshot."""

@@ -81,23 +81,33 @@ def test_rates_are_those_of_the_last_seconds() -> None:
     assert 45 <= health.snapshot(18 * S)["devices"]["encoders"]["samples_per_s"] <= 55
 
 
-def test_samples_flow_only_while_the_pipeline_takes_them() -> None:
-    """A pipeline that stands still is not flowing, whatever the devices say: the watchdog must not be fed."""
+def test_a_pipeline_that_leaves_samples_lying_does_not_flow() -> None:
+    """Samples keep coming and none is taken: a hang, so the watchdog must not be fed."""
     health = watched()
     health.port_opened("encoders")
-    health.received("encoders", 8, 1, 0)
-    assert not health.flowing(0)
-    health.processed(5 * S, {"scans": 3})
-    assert health.flowing(5 * S)
-    assert health.flowing(6 * S)
-    health.received("encoders", 8, 1, 9 * S)
-    assert not health.flowing(9 * S)
+    for tick in range(31):
+        health.received("encoders", 8, 1, tick * S // 10)
+    assert health.flowing(2 * S)
+    assert not health.flowing(3 * S)
+    health.processed({"scans": 3})
+    assert health.flowing(3 * S)
+
+
+def test_a_robot_whose_sensors_are_gone_is_not_restarted() -> None:
+    """Without samples the pipeline owes nothing: a restart would cost the map and bring no sensor back."""
+    health = watched()
+    assert health.flowing(S)
+    health.port_opened("encoders")
+    health.received("encoders", 8, 1, S)
+    health.processed({})
+    health.port_failed("encoders", "unplugged")
+    assert health.flowing(3600 * S)
 
 
 def test_a_snapshot_is_json_and_tells_of_a_broken_guarantee() -> None:
     """Everything published survives JSON; a contradiction names its sensor and its time."""
     health = watched(Counter(bad_crc=2))
-    health.processed(S, Counter(scans=7), Guarantee(void_since_ns=12, sensor="gps"))
+    health.processed(Counter(scans=7), Guarantee(void_since_ns=12, sensor="gps"))
     health.dropped("encoders", 4)
     snapshot = json.loads(json.dumps(health.snapshot(S)))
     assert snapshot["guarantee"] == {"intact": False, "void_since_ns": 12, "sensor": "gps"}
