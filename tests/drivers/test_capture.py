@@ -1,0 +1,149 @@
+"""A recorded drive comes back byte for byte, from a whole file and from the head of a broken one."""
+
+import os
+import threading
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+
+from drivers.capture import CaptureWriter, RawChunk, read_capture
+from drivers.errors import CaptureError
+
+CONFIG = '[robot]\nname = "γ 1"\n'
+
+
+def some_chunks(n: int) -> list[RawChunk]:
+    """`n` reads of three devices, 3 ms apart, some of them empty."""
+    return [RawChunk(("laser", "imu", "gps")[i % 3], os.urandom(i % 97), 1_000 + 3_000_000 * i) for i in range(n)]
+
+
+def record(path: Path, chunks: list[RawChunk]) -> CaptureWriter:
+    """A recording of `chunks`, not closed."""
+    writer = CaptureWriter(path, CONFIG)
+    for chunk in chunks:
+        writer.write(chunk.device, chunk.data, chunk.stamp_ns, 1_700_000_000_000_000_000 + chunk.stamp_ns)
+    return writer
+
+
+def test_everything_comes_back_in_order(tmp_path: Path) -> None:
+    """Device, bytes, stamp and configuration survive the file."""
+    chunks = some_chunks(1000)
+    record(tmp_path / "a.mcap", chunks).close()
+    capture = read_capture(tmp_path / "a.mcap")
+    assert list(capture) == chunks
+    assert list(capture) == chunks
+    assert capture.config_text == CONFIG
+    assert not capture.truncated
+
+
+def test_other_tools_read_it(tmp_path: Path) -> None:
+    """The file is plain MCAP, with the topics, encodings and times promised."""
+    writer = CaptureWriter(tmp_path / "a.mcap", CONFIG, can_frames={"encoders"})
+    writer.write("encoders", bytes(16), 5, 1_700_000_000_000_000_000)
+    writer.write("imu", b"\xfd", 6, 1_700_000_000_000_000_001)
+    writer.close()
+    with (tmp_path / "a.mcap").open("rb") as file:
+        seen = [
+            (channel.topic, channel.message_encoding, message.log_time, message.publish_time, message.data)
+            for _, channel, message in make_reader(file).iter_messages()
+        ]
+    assert seen == [
+        ("/raw/encoders", "application/x-can-frame", 1_700_000_000_000_000_000, 5, bytes(16)),
+        ("/raw/imu", "application/octet-stream", 1_700_000_000_000_000_001, 6, b"\xfd"),
+    ]
+
+
+def test_file_cut_anywhere_replays_what_is_whole_before_the_cut(tmp_path: Path) -> None:
+    """At every cut: no exception, a beginning of the truth, and never less than an earlier cut gave."""
+    chunks = some_chunks(400)
+    record(tmp_path / "a.mcap", chunks).close()
+    whole = (tmp_path / "a.mcap").read_bytes()
+    longest = 0
+    for cut in range(8, len(whole), 37):
+        (tmp_path / "cut.mcap").write_bytes(whole[:cut])
+        capture = read_capture(tmp_path / "cut.mcap")
+        got = list(capture)
+        assert capture.truncated
+        assert got == chunks[: len(got)]
+        assert len(got) >= longest
+        assert capture.config_text in (CONFIG, "")
+        longest = len(got)
+    assert longest == len(chunks)
+
+
+def test_process_that_dies_loses_only_its_last_moments(tmp_path: Path) -> None:
+    """Without `close`, all but the last quarter of a second is in the file, and the configuration too."""
+    chunks = some_chunks(1000)
+    writer = record(tmp_path / "a.mcap", chunks)
+    capture = read_capture(tmp_path / "a.mcap")
+    got = list(capture)
+    assert capture.truncated
+    assert capture.config_text == CONFIG
+    assert got == chunks[: len(got)]
+    assert chunks[-1].stamp_ns - got[-1].stamp_ns < 250_000_000
+    writer.close()
+
+
+def test_damage_inside_stops_the_replay_there(tmp_path: Path) -> None:
+    """A flipped bit never changes what is replayed: it ends it, and says so."""
+    chunks = some_chunks(400)
+    record(tmp_path / "a.mcap", chunks).close()
+    content = bytearray((tmp_path / "a.mcap").read_bytes())
+    content[len(content) // 2] ^= 0x10
+    (tmp_path / "bad.mcap").write_bytes(content)
+    capture = read_capture(tmp_path / "bad.mcap")
+    got = list(capture)
+    assert got == chunks[: len(got)]
+    assert 0 < len(got) < len(chunks)
+    assert capture.truncated
+
+
+def test_threads_may_write_at_once(tmp_path: Path) -> None:
+    """Each device's reads keep their order and none is lost."""
+    writer = CaptureWriter(tmp_path / "a.mcap", CONFIG)
+
+    def write(device: str) -> None:
+        for i in range(500):
+            writer.write(device, i.to_bytes(2, "big"), i, i)
+
+    threads = [threading.Thread(target=write, args=(name,)) for name in ("laser", "imu", "gps")]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    writer.close()
+    got = list(read_capture(tmp_path / "a.mcap"))
+    for name in ("laser", "imu", "gps"):
+        assert [c.stamp_ns for c in got if c.device == name] == list(range(500))
+
+
+def test_recording_is_never_overwritten(tmp_path: Path) -> None:
+    """A drive can't be repeated: an existing file is left alone."""
+    record(tmp_path / "a.mcap", some_chunks(3)).close()
+    with pytest.raises(CaptureError, match="name another file"):
+        CaptureWriter(tmp_path / "a.mcap", CONFIG)
+    assert len(list(read_capture(tmp_path / "a.mcap"))) == 3
+
+
+def test_writing_after_the_end_is_refused(tmp_path: Path) -> None:
+    """A closed recording says that it has ended; closing twice is fine."""
+    writer = record(tmp_path / "a.mcap", [])
+    writer.close()
+    writer.close()
+    with pytest.raises(CaptureError, match="ended"):
+        writer.write("imu", b"x", 1, 1)
+
+
+def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
+    """Missing, empty and foreign files are each told apart in the text."""
+    with pytest.raises(CaptureError, match="No such file"):
+        read_capture(tmp_path / "none.mcap")
+    (tmp_path / "empty.mcap").write_bytes(b"")
+    with pytest.raises(CaptureError, match="is empty"):
+        read_capture(tmp_path / "empty.mcap")
+    (tmp_path / "text.mcap").write_text("$GPGGA,hello")
+    with pytest.raises(CaptureError, match="not an MCAP recording"):
+        read_capture(tmp_path / "text.mcap")
+    with pytest.raises(CaptureError, match="can't record there"):
+        CaptureWriter(tmp_path / "no" / "such" / "folder.mcap", CONFIG)
