@@ -1,0 +1,113 @@
+"""A map as one file: `.npz` with two layers, readable with numpy alone.
+
+`low`, `high` float32 [ny, nx] metres (NaN = unseen), `resolution_m`, `origin_m` (x, y of the low corner of cell
+[0, 0]), `frame` (name), `anchor` (JSON text that places the map frame on Earth; may be empty).
+"""
+
+import os
+import zipfile
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import TerraboundError
+from mapper.grid import TILE_SIDE
+from mapper.tile import Tile
+
+_MOST_CELLS = 1 << 28
+_ENTRIES = ("low", "high", "resolution_m", "origin_m", "frame", "anchor")
+
+
+class MapFileError(TerraboundError):
+    """A saved map can't be read or written."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SavedMap:
+    """A rectangle of cells, as stored."""
+
+    low: NDArray[np.float32]
+    """[ny, nx] metres; NaN where unseen. Row = y, column = x."""
+    high: NDArray[np.float32]
+    resolution_m: float
+    origin_m: tuple[float, float]
+    frame: str
+    anchor: str
+    """JSON text; empty if unknown."""
+
+
+def assemble(tiles: Iterable[Tile], resolution_m: float, frame: str, anchor: str = "") -> SavedMap:
+    """The smallest rectangle of whole tiles that holds all tiles; tiles that share a place are joined."""
+    tiles = tuple(tiles)
+    if any(tile.resolution_m != resolution_m or tile.submap != tiles[0].submap for tile in tiles):
+        raise ValueError("a map is of one submap and one resolution")
+    columns, rows = [tile.ix for tile in tiles] or [0], [tile.iy for tile in tiles] or [0]
+    ix0, iy0 = min(columns), min(rows)
+    side = (max(rows) - iy0 + 1) * TILE_SIDE, (max(columns) - ix0 + 1) * TILE_SIDE
+    if not tiles:
+        side = (0, 0)
+    if side[0] * side[1] > _MOST_CELLS:
+        raise MapFileError(
+            f"the map spans {side[1]} x {side[0]} cells, more than one file can hold; save its submaps or parts apart"
+        )
+    low, high = np.full(side, np.nan, np.float32), np.full(side, np.nan, np.float32)
+    for tile in tiles:
+        x, y = (tile.ix - ix0) * TILE_SIDE, (tile.iy - iy0) * TILE_SIDE
+        place = np.s_[y : y + TILE_SIDE, x : x + TILE_SIDE]
+        low[place], high[place] = np.fmin(low[place], tile.low), np.fmax(high[place], tile.high)
+    step = TILE_SIDE * resolution_m
+    return SavedMap(low, high, resolution_m, (ix0 * step, iy0 * step), frame, anchor)
+
+
+def save(saved: SavedMap, path: Path) -> None:
+    """Write the file whole or not at all; the same map gives the same bytes."""
+    values = (saved.low, saved.high, saved.resolution_m, saved.origin_m, saved.frame, saved.anchor)
+
+    def write(file: IO[bytes]) -> None:
+        with zipfile.ZipFile(file, "w") as archive:
+            for name, value in zip(_ENTRIES, values, strict=True):
+                # A date of our own: numpy's writer would put the present one into the file.
+                entry = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
+                entry.compress_type = zipfile.ZIP_DEFLATED
+                with archive.open(entry, "w") as member:
+                    np.lib.format.write_array(member, np.asanyarray(value), allow_pickle=False)
+
+    write_whole(path, write)
+
+
+def load(path: Path) -> SavedMap:
+    """Read a file that `save`, or anything that keeps to the format, wrote."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            low, high, resolution, origin, frame, anchor = (file[name] for name in _ENTRIES)
+        if not (low.ndim == 2 and low.shape == high.shape and low.dtype == high.dtype == np.float32):
+            raise ValueError(f"low is {low.dtype} {list(low.shape)}, high is {high.dtype} {list(high.shape)}")
+        x, y = (float(value) for value in origin)
+        return SavedMap(low, high, float(resolution), (x, y), str(frame), str(anchor))
+    except FileNotFoundError:
+        raise MapFileError(f"{path}: no such file") from None
+    except KeyError as error:
+        raise MapFileError(f"{path}: no terrain map: {error.args[0]}") from error
+    except (OSError, ValueError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+        raise MapFileError(f"{path}: no terrain map: {error}") from error
+
+
+def write_whole(path: Path, write: Callable[[IO[bytes]], None]) -> None:
+    """Let `write` fill a temporary file beside `path`, bring it to the disk, and rename it: all or nothing."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with temporary.open("wb") as file:
+            write(file)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except OSError as error:
+        raise MapFileError(f"{path}: can't be written: {error.strerror or error}") from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink()
