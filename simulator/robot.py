@@ -1,0 +1,385 @@
+"""The robot's true motion: how a tracked body rides over the terrain, precomputed at 1 kHz.
+
+The body rides on a smooth surface S(x, y): the terrain's top, low-passed over the footprint of the tracks and held as
+a cubic B-spline, so that attitude and body rates are continuous. Roll and pitch are those of the surface's normal at
+the given yaw; base_link moves in the tangent plane with velocity (v, v_l, v_n) along body x, y, z, where v_l is side
+slip and v_n sinking and bouncing. Integrated by Runge-Kutta of fourth order, with the body rates among the integrals:
+what an ideal gyro would integrate and the poses obey SMF equation (1) together, to about 1e-11 a step.
+"""
+
+from dataclasses import dataclass, replace
+from math import atan, atan2, cos, floor, pi, sin, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.compiled import compiled
+from simulator.errors import ErrorLaw
+from simulator.terrain import Course, Terrain, smoothed
+
+Array = NDArray[np.float64]
+
+GRAVITY_MPS2 = 9.80665
+STEP_NS = 1_000_000
+STANDSTILL_NS = 2_000_000_000
+"""How long the robot stands still before it drives; it stands again for the last second."""
+FINAL_REST_S = 1.0
+RAMP_S = 1.5
+"""Time to reach the cruising speed, and to stop."""
+SURFACE_STEP_M = 0.05
+BOUNCE_LENGTH_M = 0.7
+"""The body bounces with this wavelength along the path."""
+SLIP_SLOT_NS = 20_000_000
+"""A track's slip ratio keeps its value this long."""
+INSIDE = 1.0 - 1e-9
+"""Ratios stay inside their bounds by this factor: room for rounding."""
+
+
+@dataclass(frozen=True, slots=True)
+class RobotModel:
+    """Size and true limits of the robot's motion; names and meaning as in the configuration's [robot]."""
+
+    track_length_m: float = 0.65
+    track_gauge_m: float = 0.35
+    max_speed_mps: float = 0.6
+    max_acceleration_mps2: float = 1.0
+    """|dv/dt| along the tracks, and each body axis of the robot's own acceleration."""
+    max_turn_rate_dps: float = 60.0
+    max_turn_acceleration_dps2: float = 400.0
+    slip_ratio: float = 0.02
+    lateral_slip_ratio: float = 0.01
+    turning_centre_m: float = 0.03
+    normal_slip_ratio: float = 0.01
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drive:
+    """The true motion, a row a millisecond; row 0 is the start of the standstill. World frame."""
+
+    pose: Array
+    """[N, 6] x, y, z, roll, pitch, yaw (unwrapped)."""
+    turned: Array
+    """[N, 3] integrals of the body rates, rad."""
+    rate: Array
+    """[N, 3] body rates, rad/s."""
+    speed: Array
+    """[N] v, along body x."""
+    travelled: Array
+    """[N] integral of v."""
+    velocity: Array
+    """[N, 3] of base_link, world axes."""
+    specific_force: Array
+    """[N, 3] R^T (dv/dt + g), what an ideal accelerometer in base_link feels."""
+    ground: Array
+    """[N, 2] travel of the left and right track over the ground."""
+    tracks: Array
+    """[N, 2] travel of the left and right track as its encoder sees it: with slip."""
+
+    @property
+    def duration_ns(self) -> int:
+        """From the first row to the last."""
+        return (len(self.pose) - 1) * STEP_NS
+
+
+def plan_drive(model: RobotModel, terrain: Terrain, law: ErrorLaw, duration_s: float) -> Drive:
+    """The terrain's course driven for `duration_s`, standstill included, as fast as it likes within all limits."""
+    course = terrain.course
+    surface = body_surface(model, terrain)
+    for _ in range(12):
+        drive = _drive(model, surface, course, law, duration_s)
+        over = exceeded_limits(model, drive, margin=0.9)
+        if not over:
+            return drive
+        course = replace(course, cruise_mps=0.85 * course.cruise_mps)
+    raise ValueError(f"the robot can't drive the scene {terrain.name} within its limits: {', '.join(over)}")
+
+
+def exceeded_limits(model: RobotModel, drive: Drive, margin: float = 1.0) -> list[str]:
+    """Names of the limits that the drive exceeds `margin` times; empty if it keeps all of them."""
+    step = STEP_NS * 1e-9
+    own = drive.specific_force - _gravity_in_body(drive.pose)
+    track_speed = np.diff(drive.tracks, axis=0) / step
+    largest = {
+        "max_speed_mps": max(np.linalg.norm(drive.velocity, axis=1).max(), np.abs(track_speed).max()),
+        "max_acceleration_mps2": max(np.abs(np.diff(drive.speed)).max() / step, np.abs(own).max()),
+        "max_turn_rate_dps": np.degrees(np.abs(drive.rate).max()),
+        "max_turn_acceleration_dps2": np.degrees(np.abs(np.diff(drive.rate, axis=0)).max() / step),
+    }
+    return [name for name, value in largest.items() if value > margin * getattr(model, name)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BodySurface:
+    """A cubic B-spline S(x, y): coefficients [ny, nx] on a grid of `step_m` from (x0_m, y0_m). Twice differentiable."""
+
+    coefficients: Array
+    x0_m: float
+    y0_m: float
+    step_m: float
+
+    def height(self, x: float, y: float) -> float:
+        """S(x, y)."""
+        return float(_surface(self.coefficients, self.x0_m, self.y0_m, self.step_m, x, y)[0])
+
+
+def body_surface(model: RobotModel, terrain: Terrain) -> BodySurface:
+    """The terrain's top, low-passed over the tracks' footprint."""
+    ny, nx = terrain.heights.shape
+    reach = 14.0  # metres around the start: all courses stay within
+    course = terrain.course
+    low_x = max(terrain.x0_m, course.x_m - reach)
+    low_y = max(terrain.y0_m, course.y_m - reach)
+    high_x = min(terrain.x0_m + (nx - 1) * terrain.cell_m, course.x_m + reach)
+    high_y = min(terrain.y0_m + (ny - 1) * terrain.cell_m, course.y_m + reach)
+    x = np.arange(low_x, high_x, SURFACE_STEP_M)
+    y = np.arange(low_y, high_y, SURFACE_STEP_M)
+    top = terrain.height(*np.meshgrid(x, y))
+    return BodySurface(
+        smoothed(top, model.track_length_m / 3.0 / SURFACE_STEP_M), float(x[0]), float(y[0]), SURFACE_STEP_M
+    )
+
+
+def speed_profile(t_s: Array, duration_s: float, cruise_mps: float) -> Array:
+    """v(t): standstill, a smooth start, the cruise, a smooth stop, standstill. dv/dt is at most 1.9 cruise / RAMP_S."""
+    first = STANDSTILL_NS * 1e-9
+    last = max(duration_s - FINAL_REST_S, first)
+    ramp = max(min(RAMP_S, 0.5 * (last - first)), 1e-9)
+    rise = np.clip((t_s - first) / ramp, 0.0, 1.0)
+    fall = np.clip((last - t_s) / ramp, 0.0, 1.0)
+    return np.asarray(cruise_mps * _smooth_step(rise) * _smooth_step(fall))
+
+
+def _smooth_step(u: Array) -> Array:
+    """From 0 to 1 with vanishing first and second derivatives at both ends."""
+    return np.asarray(u**3 * (10.0 - 15.0 * u + 6.0 * u**2))
+
+
+def _drive(model: RobotModel, surface: BodySurface, course: Course, law: ErrorLaw, duration_s: float) -> Drive:
+    """Integrate one drive, then derive what the sensors feel."""
+    count = round(duration_s * 1e9 / STEP_NS) + 1
+    half_ns = np.arange(2 * count - 1, dtype=np.int64) * (STEP_NS // 2)
+    v = speed_profile(np.asarray(half_ns * 1e-9, np.float64), duration_s, course.cruise_mps)
+    side = law.channel("slip.lateral").smooth(half_ns) * model.lateral_slip_ratio * INSIDE
+    centre = law.channel("slip.centre").smooth(half_ns) * model.turning_centre_m * INSIDE
+    path = np.array(
+        [
+            course.straight_m,
+            1.0 / course.circle_radius_m,
+            course.weave_rad * 2.0 * pi / course.weave_length_m,
+            2.0 * pi / course.weave_length_m,
+        ]
+    )
+    pose, turned, rate, velocity, travelled = (np.empty((count, n)) for n in (6, 3, 3, 3, 1))
+    _integrate(
+        surface.coefficients,
+        surface.x0_m,
+        surface.y0_m,
+        surface.step_m,
+        np.array([course.x_m, course.y_m, surface.height(course.x_m, course.y_m), course.heading_rad]),
+        path,
+        v,
+        side,
+        centre,
+        model.normal_slip_ratio * INSIDE,
+        pose,
+        turned,
+        rate,
+        velocity,
+        travelled,
+    )
+    force = np.gradient(velocity, STEP_NS * 1e-9, axis=0)
+    force = np.einsum("nji,nj->ni", rotations(pose), force) + _gravity_in_body(pose)
+    half = 0.5 * model.track_gauge_m
+    ground = np.column_stack([travelled[:, 0] - half * turned[:, 2], travelled[:, 0] + half * turned[:, 2]])
+    return Drive(
+        pose, turned, rate, v[::2].copy(), travelled[:, 0], velocity, force, ground, _with_slip(model, law, ground)
+    )
+
+
+def _with_slip(model: RobotModel, law: ErrorLaw, ground: Array) -> Array:
+    """Encoder travel: |ground - encoder| <= slip_ratio * |encoder| in each step and so, driving forward, in all."""
+    slot_ns = np.arange(len(ground) - 1, dtype=np.int64) * STEP_NS // SLIP_SLOT_NS * SLIP_SLOT_NS
+    tracks = np.zeros_like(ground)
+    for side, name in enumerate(("slip.left", "slip.right")):
+        share = law.channel(name).over(slot_ns)
+        steps = np.diff(ground[:, side]) / (1.0 + model.slip_ratio * INSIDE * share)
+        tracks[1:, side] = np.cumsum(steps)
+    return tracks
+
+
+def rotations(pose: Array) -> Array:
+    """[N, 3, 3] R = Rz(yaw) Ry(pitch) Rx(roll) of poses [N, 6]."""
+    cr, sr = np.cos(pose[:, 3]), np.sin(pose[:, 3])
+    cp, sp = np.cos(pose[:, 4]), np.sin(pose[:, 4])
+    cy, sy = np.cos(pose[:, 5]), np.sin(pose[:, 5])
+    rows = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
+def _gravity_in_body(pose: Array) -> Array:
+    """[N, 3] R^T (0, 0, g)."""
+    return GRAVITY_MPS2 * rotations(pose)[:, 2, :]
+
+
+@compiled
+def _surface(
+    c: Array, x0: float, y0: float, step: float, x: float, y: float
+) -> tuple[float, float, float, float, float, float]:
+    """S, dS/dx, dS/dy, d2S/dx2, d2S/dxdy, d2S/dy2 of the cubic B-spline."""
+    u = (x - x0) / step
+    w = (y - y0) / step
+    ix = min(max(floor(u), 1), c.shape[1] - 3)
+    iy = min(max(floor(w), 1), c.shape[0] - 3)
+    u -= ix
+    w -= iy
+    bx = ((1 - u) ** 3 / 6, (3 * u**3 - 6 * u**2 + 4) / 6, (-3 * u**3 + 3 * u**2 + 3 * u + 1) / 6, u**3 / 6)
+    by = ((1 - w) ** 3 / 6, (3 * w**3 - 6 * w**2 + 4) / 6, (-3 * w**3 + 3 * w**2 + 3 * w + 1) / 6, w**3 / 6)
+    dbx = (-((1 - u) ** 2) / 2, (3 * u**2 - 4 * u) / 2, (-3 * u**2 + 2 * u + 1) / 2, u**2 / 2)
+    dby = (-((1 - w) ** 2) / 2, (3 * w**2 - 4 * w) / 2, (-3 * w**2 + 2 * w + 1) / 2, w**2 / 2)
+    ddbx = (1 - u, 3 * u - 2, 1 - 3 * u, u)
+    ddby = (1 - w, 3 * w - 2, 1 - 3 * w, w)
+    s, sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(4):
+        row, d_row, dd_row = 0.0, 0.0, 0.0
+        for j in range(4):
+            value = c[iy - 1 + i, ix - 1 + j]
+            row += bx[j] * value
+            d_row += dbx[j] * value
+            dd_row += ddbx[j] * value
+        s += by[i] * row
+        sx += by[i] * d_row
+        sy += dby[i] * row
+        sxx += by[i] * dd_row
+        sxy += dby[i] * d_row
+        syy += ddby[i] * row
+    return s, sx / step, sy / step, sxx / step**2, sxy / step**2, syy / step**2
+
+
+@compiled
+def _curvature(path: Array, s: float) -> float:
+    """Of the course after s metres: a weave, and a smooth entry into the circle."""
+    u = min(max(s - path[0], 0.0), 1.0)
+    curvature: float = path[1] * u**3 * (10.0 - 15.0 * u + 6.0 * u**2) + path[2] * sin(path[3] * s)
+    return curvature
+
+
+@compiled
+def _rates(
+    sxx: float, sxy: float, syy: float, a: float, b: float, yaw: float, yaw_rate: float, vx: float, vy: float
+) -> tuple[float, float, float]:
+    """Body rates while base_link moves with world velocity (vx, vy) over the surface.
+
+    (a, b, 1) is the surface's normal turned by -yaw: pitch = atan a, roll = -atan(b / sqrt(1 + a^2)).
+    """
+    c, s = cos(yaw), sin(yaw)
+    slope_x = sxx * vx + sxy * vy
+    slope_y = sxy * vx + syy * vy
+    a_rate = -(c * slope_x + s * slope_y) + yaw_rate * b
+    b_rate = s * slope_x - c * slope_y - yaw_rate * a
+    q = sqrt(1.0 + a * a)
+    u = b / q
+    pitch_rate = a_rate / (q * q)
+    roll_rate = -(b_rate / q - b * a * a_rate / q**3) / (1.0 + u * u)
+    roll, pitch = -atan(u), atan(a)
+    return (
+        roll_rate - sin(pitch) * yaw_rate,
+        cos(roll) * pitch_rate + sin(roll) * cos(pitch) * yaw_rate,
+        -sin(roll) * pitch_rate + cos(roll) * cos(pitch) * yaw_rate,
+    )
+
+
+@compiled
+def _motion(
+    c: Array,
+    x0: float,
+    y0: float,
+    step: float,
+    path: Array,
+    state: Array,
+    v: float,
+    side: float,
+    centre: float,
+    normal: float,
+    out: Array,
+    attitude: Array,
+) -> None:
+    """Derivatives of the state [travelled, x, y, z, yaw, three turned angles]; roll and pitch into `attitude`."""
+    yaw = state[4]
+    _, sx, sy, sxx, sxy, syy = _surface(c, x0, y0, step, state[1], state[2])
+    cy, sn = cos(yaw), sin(yaw)
+    a = -(cy * sx + sn * sy)
+    b = sn * sx - cy * sy
+    pitch = atan(a)
+    roll = -atan2(b, sqrt(1.0 + a * a))
+    cp, sp, cr, sr = cos(pitch), sin(pitch), cos(roll), sin(roll)
+    yaw_rate = _curvature(path, state[0]) * v
+    v_n = normal * v * sin(2.0 * pi / BOUNCE_LENGTH_M * state[0])
+    forward_x = cy * cp * v + (cy * sp * cr + sn * sr) * v_n
+    forward_y = sn * cp * v + (sn * sp * cr - cy * sr) * v_n
+    left_x = cy * sp * sr - sn * cr
+    left_y = sn * sp * sr + cy * cr
+    # The side slip depends on the turn rate (turning centre) and the turn rate, on a bent surface, on the side slip:
+    # both are linear in it.
+    _, _, turn = _rates(sxx, sxy, syy, a, b, yaw, yaw_rate, forward_x, forward_y)
+    _, _, turn_with_unit = _rates(sxx, sxy, syy, a, b, yaw, yaw_rate, forward_x + left_x, forward_y + left_y)
+    v_l = (side * v + centre * turn) / (1.0 - centre * (turn_with_unit - turn))
+    vx = forward_x + left_x * v_l
+    vy = forward_y + left_y * v_l
+    wx, wy, wz = _rates(sxx, sxy, syy, a, b, yaw, yaw_rate, vx, vy)
+    out[0] = v
+    out[1] = vx
+    out[2] = vy
+    out[3] = -sp * v + cp * sr * v_l + cp * cr * v_n
+    out[4] = yaw_rate
+    out[5] = wx
+    out[6] = wy
+    out[7] = wz
+    attitude[0] = roll
+    attitude[1] = pitch
+
+
+@compiled
+def _integrate(
+    c: Array,
+    x0: float,
+    y0: float,
+    step: float,
+    start: Array,
+    path: Array,
+    v: Array,
+    side: Array,
+    centre: Array,
+    normal: float,
+    pose: Array,
+    turned: Array,
+    rate: Array,
+    velocity: Array,
+    travelled: Array,
+) -> None:
+    """Runge-Kutta 4 with steps of 1 ms; v, side and centre are given every half step."""
+    h = 1e-3
+    state = np.zeros(8)
+    state[1:5] = start
+    k1, k2, k3, k4 = np.zeros(8), np.zeros(8), np.zeros(8), np.zeros(8)
+    attitude = np.zeros(2)
+    count = pose.shape[0]
+    for i in range(count):
+        m = 2 * i
+        _motion(c, x0, y0, step, path, state, v[m], side[m], centre[m], normal, k1, attitude)
+        pose[i, 0:3] = state[1:4]
+        pose[i, 3:5] = attitude
+        pose[i, 5] = state[4]
+        turned[i, :] = state[5:8]
+        rate[i, :] = k1[5:8]
+        velocity[i, :] = k1[1:4]
+        travelled[i, 0] = state[0]
+        if i == count - 1:
+            break
+        _motion(c, x0, y0, step, path, state + 0.5 * h * k1, v[m + 1], side[m + 1], centre[m + 1], normal, k2, attitude)
+        _motion(c, x0, y0, step, path, state + 0.5 * h * k2, v[m + 1], side[m + 1], centre[m + 1], normal, k3, attitude)
+        _motion(c, x0, y0, step, path, state + h * k3, v[m + 2], side[m + 2], centre[m + 2], normal, k4, attitude)
+        state += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)

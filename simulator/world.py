@@ -1,0 +1,330 @@
+"""The world as the devices feel it: the true motion over the true terrain, seen through bounded errors.
+
+Its methods are the callbacks that the emulators ask for readings. Every error stays inside the bound that the
+configuration declares, less half a step of what the wire can express:
+
+    laser       range_bound_m less half a millimetre (centimetre); scan angle and mount up to their bounds
+    gyroscope   noise bound less a step of a float32; bias and scale up to their bounds
+    tilt, accel bound less a step of a float32
+    GPS         half-widths less half a unit of NMEA's seventh decimal of a minute, and of the altitude's last decimal
+    encoders    slip only (robot.py): the counter's own rounding is the declared quantisation
+
+Times are true nanoseconds on the host's clock; the drive begins when `begin_drive` says so, before that the robot
+stands still.
+"""
+
+from math import cos, inf, isinf, radians, sin
+
+import numpy as np
+import pymap3d
+from numpy.typing import NDArray
+
+from drivers.compiled import compiled
+from drivers.config import DevicesConfig, GpsConfig
+from simulator.errors import ErrorLaw, draw
+from simulator.raycast import cast_rays
+from simulator.robot import STEP_NS, RobotModel, plan_drive, rotations
+from simulator.terrain import Terrain
+from simulator.truth import Truth
+
+Array = NDArray[np.float64]
+
+RANGE_MARGIN_M = {"mm": 0.0005, "cm": 0.005}
+FLOAT32_STEP_GYRO_RPS = 2.0**-24
+"""Half a float32 step of rates up to 1 rad/s is a quarter of this."""
+FLOAT32_STEP_TILT_RAD = 2.0**-24
+FLOAT32_STEP_ACCEL_MPS2 = 2.0**-19
+NMEA_STEP_HORIZONTAL_M = 1e-4
+"""Half of 1e-7 minutes of a great circle is 0.093 mm."""
+NMEA_STEP_VERTICAL_M = 6e-4
+"""Half a millimetre, and room for the sum with the geoid separation."""
+
+
+class World:
+    """One robot driving over one terrain, from `start_ns` on."""
+
+    def __init__(
+        self,
+        terrain: Terrain,
+        robot: RobotModel,
+        devices: DevicesConfig,
+        law: ErrorLaw,
+        start_ns: int,
+        duration_s: float,
+        origin: tuple[float, float, float] = (48.2, 11.6, 520.0),
+        gst_sigma_m: tuple[float, float, float] = (0.6, 0.6, 1.2),
+    ) -> None:
+        """Plan the drive (`duration_s`, standstill included). `origin`: WGS-84 latitude, longitude, height of (0,0,0).
+
+        `gst_sigma_m` (east, north, up) is what the receiver reports as its sigma: it enters the bound of a fix where
+        the owner declares no RTK bound.
+        """
+        self.terrain = terrain
+        self.devices = devices
+        self.law = law
+        self.start_ns = start_ns
+        self.origin = origin
+        self.drive = plan_drive(robot, terrain, law, duration_s)
+        self._drive_start_ns: int | None = None
+        self._hit_times: list[NDArray[np.int64]] = []
+        self._hits: list[Array] = []
+        self._ranges: list[Array] = []
+        self._prepare_laser()
+        self._gyro = [
+            (law.channel(f"gyro.{a}.bias"), law.channel(f"gyro.{a}"), law.channel(f"gyro.{a}.scale").level)
+            for a in "xyz"
+        ]
+        self._tilt = [law.channel("tilt.roll"), law.channel("tilt.pitch")]
+        self._accel = {(i, a): law.channel(f"accel.{i}.{a}") for i in range(4) for a in "xy"}
+        self._gps = [law.channel(f"gps.{a}") for a in ("east", "north", "up")]
+        self._gps_bound = _fix_bound(devices.gps, gst_sigma_m) if devices.gps else (0.0, 0.0, 0.0)
+
+    def _prepare_laser(self) -> None:
+        laser = self.devices.laser
+        shift = [self.law.channel(f"mount.{a}").level * laser.mount_position_bound_m for a in "xyz"]
+        turn = [
+            self.law.channel(f"mount.{a}").level * radians(laser.mount_angle_bound_deg)
+            for a in ("roll", "pitch", "yaw")
+        ]
+        self.true_mount = np.array(
+            [
+                laser.mount_x_m + shift[0],
+                laser.mount_y_m + shift[1],
+                laser.mount_z_m + shift[2],
+                radians(laser.mount_roll_deg) + turn[0],
+                -radians(laser.mount_pitch_deg) + turn[1],  # the configuration's sign: negative looks down
+                radians(laser.mount_yaw_deg) + turn[2],
+            ]
+        )
+        """[6] the laser's true pose in base_link, within the mount bounds of the nominal one."""
+        self._mount_rotation = np.ascontiguousarray(rotations(self.true_mount[np.newaxis])[0])
+        self._range_channel = self.law.channel("laser.range")
+        self._angle_channel = self.law.channel("laser.angle")
+        self._range_bound = max(laser.range_bound_m - RANGE_MARGIN_M[laser.unit], 0.0)
+        self._angle_bound = radians(laser.angle_bound_deg)
+
+    def begin_drive(self, t_ns: int) -> None:
+        """The two seconds of standstill begin at `t_ns`; before, the robot has been standing at the same place."""
+        self._drive_start_ns = t_ns
+
+    @property
+    def drive_end_ns(self) -> int | None:
+        """When the drive is over; None until it has begun."""
+        return None if self._drive_start_ns is None else self._drive_start_ns + self.drive.duration_ns
+
+    def _into_drive(self, t_ns: int) -> int:
+        """Nanoseconds since the drive began; 0 before."""
+        return max(t_ns - self._drive_start_ns, 0) if self._drive_start_ns is not None else 0
+
+    def pose(self, t_ns: int) -> Array:
+        """[6] true pose in the world frame."""
+        return _between(self.drive.pose, self._into_drive(t_ns))
+
+    # What the devices ask for.
+
+    def measure(self, shot_times_ns: NDArray[np.int64], angles_rad: Array) -> Array:
+        """Distances [n] of the laser's beams; NaN never, +inf where nothing is within the configured maximum."""
+        times = np.ascontiguousarray(shot_times_ns, np.int64)
+        ranges = np.empty(times.size)
+        hits = np.empty((times.size, 3))
+        terrain, laser = self.terrain, self.devices.laser
+        drive_start = self._drive_start_ns if self._drive_start_ns is not None else int(times.max())
+        _shoot(
+            self.drive.pose,
+            times - drive_start,
+            times - self.start_ns,
+            np.ascontiguousarray(angles_rad, np.float64),
+            self.true_mount,
+            self._mount_rotation,
+            terrain.heights,
+            terrain.x0_m,
+            terrain.y0_m,
+            terrain.cell_m,
+            terrain.boxes,
+            laser.range_max_m,
+            self._range_channel.law,
+            self._range_channel.key,
+            self._range_bound,
+            self._angle_channel.key,
+            self._angle_bound,
+            ranges,
+            hits,
+        )
+        seen = np.isfinite(ranges)
+        self._hit_times.append(times[seen])
+        self._hits.append(hits[seen])
+        self._ranges.append(ranges[seen])
+        return ranges
+
+    def count(self, t_ns: int) -> tuple[float, float]:
+        """Fractional ticks of the left and right track counters."""
+        left, right = _between(self.drive.tracks, self._into_drive(t_ns))
+        encoders = self.devices.encoders
+        return float(left) / encoders.left_metres_per_tick, float(right) / encoders.right_metres_per_tick
+
+    def gyro(self, t0_ns: int, t1_ns: int) -> Array:
+        """[3] mean body rate between two times, rad/s, with bias, scale error and noise."""
+        imu = self.devices.imu
+        seconds = (t1_ns - t0_ns) * 1e-9
+        turned = self._turned(t1_ns) - self._turned(t0_ns)
+        # Written so that the error is within gyro_scale_bound of both the true and the measured rate.
+        scale = imu.gyro_scale_bound / (1.0 + imu.gyro_scale_bound)
+        noise = max(radians(imu.gyro_noise_bound_dps) - FLOAT32_STEP_GYRO_RPS, 0.0)
+        bias_bound, bias_drift = radians(imu.gyro_bias_bound_dps), radians(imu.gyro_bias_drift_dps2)
+        since = t1_ns - self.start_ns
+        measured = np.empty(3)
+        for axis, (bias, jitter, scale_share) in enumerate(self._gyro):
+            measured[axis] = (
+                turned[axis] / seconds * (1.0 + scale * scale_share)
+                + bias.wander(since, bias_bound, bias_drift)
+                + noise * jitter.at(since)
+            )
+        return measured
+
+    def tilt(self, t_ns: int) -> tuple[float, float]:
+        """Roll and pitch, rad; pitch positive nose down."""
+        bound = radians(self.devices.imu.tilt_bound_deg) - FLOAT32_STEP_TILT_RAD
+        pose, since = self.pose(t_ns), t_ns - self.start_ns
+        return float(pose[3]) + bound * self._tilt[0].at(since), float(pose[4]) + bound * self._tilt[1].at(since)
+
+    def accel(self, t_ns: int, sensor_id: int) -> tuple[float, float]:
+        """Specific force along body x and y as the dual-axis accelerometer `sensor_id` gives it, m/s^2."""
+        bound = self.devices.imu.accel_bound_mps2 - FLOAT32_STEP_ACCEL_MPS2
+        force, since = _between(self.drive.specific_force, self._into_drive(t_ns)), t_ns - self.start_ns
+        return (
+            float(force[0]) + bound * self._accel[sensor_id, "x"].at(since),
+            float(force[1]) + bound * self._accel[sensor_id, "y"].at(since),
+        )
+
+    def position(self, t_ns: int) -> tuple[float, float, float]:
+        """WGS-84 latitude, longitude (degrees) and ellipsoidal height (m) of the antenna."""
+        gps = self.devices.gps
+        lever = np.array([gps.antenna_x_m, gps.antenna_y_m, gps.antenna_z_m]) if gps else np.zeros(3)
+        pose, since = self.pose(t_ns), t_ns - self.start_ns
+        antenna = pose[:3] + rotations(pose[np.newaxis])[0] @ lever
+        shares = (channel.at(since) for channel in self._gps)
+        east, north, up = (
+            float(true + bound * share) for true, bound, share in zip(antenna, self._gps_bound, shares, strict=True)
+        )
+        lat, lon, alt = pymap3d.enu2geodetic(east, north, up, *self.origin)
+        return float(lat), float(lon), float(alt)
+
+    def _turned(self, t_ns: int) -> Array:
+        """[3] integral of the body rates, by cubic Hermite interpolation (linear would cost a few 0.001 deg/s)."""
+        return _hermite(self.drive.turned, self.drive.rate, self._into_drive(t_ns))
+
+    # What is true.
+
+    def truth(self, end_ns: int) -> Truth:
+        """Everything that was true from `start_ns` to `end_ns`, in the world frame."""
+        drive_start = self._drive_start_ns if self._drive_start_ns is not None else end_ns
+        before = max(-(-(drive_start - self.start_ns) // STEP_NS), 0)
+        count = max(-(-(end_ns - drive_start) // STEP_NS) + 1, 2)
+        rows = np.clip(np.arange(-before, count), 0, len(self.drive.pose) - 1)
+        return Truth(
+            pose_time_ns=drive_start + np.arange(-before, count, dtype=np.int64) * STEP_NS,
+            pose=self.drive.pose[rows],
+            hit_time_ns=np.concatenate([np.zeros(0, np.int64), *self._hit_times]),
+            hit=np.concatenate([np.zeros((0, 3)), *self._hits]),
+            hit_range_m=np.concatenate([np.zeros(0), *self._ranges]),
+            scene=self.terrain.name,
+            seed=self.terrain.seed,
+            source=self.terrain.source,
+            origin=self.origin,
+        )
+
+
+def _fix_bound(gps: GpsConfig, sigma_m: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Half-widths (east, north, up) of a fix, less what NMEA rounds away."""
+    if gps.rtk_fixed_horizontal_m is not None:
+        east = north = gps.rtk_fixed_horizontal_m
+    else:
+        east, north = (gps.gst_factor * sigma + gps.floor_horizontal_m for sigma in sigma_m[:2])
+    if gps.rtk_fixed_vertical_m is not None:
+        up = gps.rtk_fixed_vertical_m
+    else:
+        up = gps.gst_factor * sigma_m[2] + gps.floor_vertical_m
+    return (
+        max(east - NMEA_STEP_HORIZONTAL_M, 0.0),
+        max(north - NMEA_STEP_HORIZONTAL_M, 0.0),
+        max(up - NMEA_STEP_VERTICAL_M, 0.0),
+    )
+
+
+@compiled
+def _between(rows: Array, t_ns: int) -> Array:
+    """Row of a 1 kHz table at t_ns after its first one, linear in between, constant beyond its ends."""
+    i = min(max(t_ns // STEP_NS, 0), rows.shape[0] - 2)
+    part = min(max((t_ns - i * STEP_NS) / STEP_NS, 0.0), 1.0)
+    row: Array = rows[i] + part * (rows[i + 1] - rows[i])
+    return row
+
+
+@compiled
+def _hermite(values: Array, slopes: Array, t_ns: int) -> Array:
+    """Row of a 1 kHz table with known derivatives (per second) at t_ns, constant beyond its ends."""
+    i = min(max(t_ns // STEP_NS, 0), values.shape[0] - 2)
+    u = min(max((t_ns - i * STEP_NS) / STEP_NS, 0.0), 1.0)
+    h = STEP_NS * 1e-9
+    rise = u * u * (3.0 - 2.0 * u)
+    begin = h * u * (1.0 - u) ** 2
+    end = -h * u * u * (1.0 - u)
+    row: Array = values[i] + rise * (values[i + 1] - values[i]) + begin * slopes[i] + end * slopes[i + 1]
+    return row
+
+
+@compiled
+def _shoot(
+    poses: Array,
+    into_drive_ns: NDArray[np.int64],
+    since_start_ns: NDArray[np.int64],
+    angles: Array,
+    mount: Array,
+    mount_rotation: Array,
+    heights: Array,
+    x0: float,
+    y0: float,
+    cell: float,
+    boxes: Array,
+    range_max: float,
+    law: int,
+    range_key: int,
+    range_bound: float,
+    angle_key: int,
+    angle_bound: float,
+    ranges: Array,
+    hits: Array,
+) -> None:
+    """Cast every beam from the true pose at its own time; `ranges` as reported, `hits` as they truly are."""
+    count = angles.size
+    origins = np.empty((count, 3))
+    directions = np.empty((count, 3))
+    for i in range(count):
+        pose = _between(poses, into_drive_ns[i])
+        cr, sr = cos(pose[3]), sin(pose[3])
+        cp, sp = cos(pose[4]), sin(pose[4])
+        cy, sy = cos(pose[5]), sin(pose[5])
+        angle = angles[i] + angle_bound * draw(law, angle_key, since_start_ns[i])
+        ahead, left = cos(angle), sin(angle)
+        for vector in range(2):
+            if vector == 0:
+                bx, by, bz = mount[0], mount[1], mount[2]
+            else:
+                bx = mount_rotation[0, 0] * ahead + mount_rotation[0, 1] * left
+                by = mount_rotation[1, 0] * ahead + mount_rotation[1, 1] * left
+                bz = mount_rotation[2, 0] * ahead + mount_rotation[2, 1] * left
+            wx = cy * cp * bx + (cy * sp * sr - sy * cr) * by + (cy * sp * cr + sy * sr) * bz
+            wy = sy * cp * bx + (sy * sp * sr + cy * cr) * by + (sy * sp * cr - cy * sr) * bz
+            wz = -sp * bx + cp * sr * by + cp * cr * bz
+            if vector == 0:
+                origins[i, 0], origins[i, 1], origins[i, 2] = pose[0] + wx, pose[1] + wy, pose[2] + wz
+            else:
+                directions[i, 0], directions[i, 1], directions[i, 2] = wx, wy, wz
+    cast_rays(heights, x0, y0, cell, boxes, origins, directions, range_max, ranges)
+    for i in range(count):
+        if isinf(ranges[i]):
+            hits[i, :] = inf
+            continue
+        for axis in range(3):
+            hits[i, axis] = origins[i, axis] + ranges[i] * directions[i, axis]
+        ranges[i] = max(ranges[i] + range_bound * draw(law, range_key, since_start_ns[i]), 0.0)
