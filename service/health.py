@@ -110,6 +110,7 @@ class Health:
         self._guarantee = INTACT
         self._unanswered_ns: int | None = None
         """When the first sample came that the pipeline has not answered; None where it owes nothing."""
+        self._answered_ns: int | None = None
 
     def watch(self, name: str, stale_after_s: float, counts: Mapping[str, int] | None = None) -> None:
         """Keep an eye on a device: silence longer than `stale_after_s` is a fault; `counts` are its protocol's own."""
@@ -141,10 +142,11 @@ class Health:
         with self._lock:
             self._drops[name] = total
 
-    def processed(self, counts: Mapping[str, int], guarantee: Guarantee = INTACT) -> None:
-        """The pipeline took samples; `counts` are its own."""
+    def processed(self, now_ns: int, counts: Mapping[str, int], guarantee: Guarantee = INTACT) -> None:
+        """The pipeline took all samples that had come; `counts` are its own."""
         with self._lock:
             self._unanswered_ns = None
+            self._answered_ns = now_ns
             self._pipeline = dict(counts)
             self._guarantee = guarantee
 
@@ -175,6 +177,7 @@ class Health:
             return {
                 "time_ns": now_ns,
                 "flowing": self._flowing(now_ns),
+                "processed_ns": self._answered_ns,
                 "guarantee": {
                     "intact": self._guarantee.intact,
                     "void_since_ns": self._guarantee.void_since_ns,

@@ -39,7 +39,8 @@ POSE = Topic("pose", JSON, "at most pose_rate_hz", Priority.INTERACTIVE_HIGH, ex
 HEALTH = Topic("health", JSON, "every health_period_s", Priority.INTERACTIVE_LOW, queried=True)
 INFO = Topic("info", JSON, "with each digest", Priority.DATA_HIGH, queried=True)
 ANCHOR = Topic("anchor", JSON, "when it changes, and with each digest", Priority.DATA_HIGH, queried=True)
-DIGEST = Topic("digest", JSON, "every digest_period_s, and at the end", Priority.DATA, queried=True)
+DIGEST = Topic("digest", JSON, "every digest_period_s, and at the end", Priority.DATA_LOW, queried=True)
+"""As urgent as the tiles it lists, so that it never overtakes them: who compares on arrival sees only true losses."""
 TILE = Topic("map/*/*/*/{full,delta}", GRID, "when cells changed", Priority.DATA_LOW, express=True, queried=True)
 REPAIR_PRIORITY = Priority.BACKGROUND
 """Of a client's gets; answers travel at the priority of their question."""

@@ -89,7 +89,7 @@ def test_a_pipeline_that_leaves_samples_lying_does_not_flow() -> None:
         health.received("encoders", 8, 1, tick * S // 10)
     assert health.flowing(2 * S)
     assert not health.flowing(3 * S)
-    health.processed({"scans": 3})
+    health.processed(3 * S, {"scans": 3})
     assert health.flowing(3 * S)
 
 
@@ -99,7 +99,7 @@ def test_a_robot_whose_sensors_are_gone_is_not_restarted() -> None:
     assert health.flowing(S)
     health.port_opened("encoders")
     health.received("encoders", 8, 1, S)
-    health.processed({})
+    health.processed(S, {})
     health.port_failed("encoders", "unplugged")
     assert health.flowing(3600 * S)
 
@@ -107,7 +107,7 @@ def test_a_robot_whose_sensors_are_gone_is_not_restarted() -> None:
 def test_a_snapshot_is_json_and_tells_of_a_broken_guarantee() -> None:
     """Everything published survives JSON; a contradiction names its sensor and its time."""
     health = watched(Counter(bad_crc=2))
-    health.processed(Counter(scans=7), Guarantee(void_since_ns=12, sensor="gps"))
+    health.processed(S, Counter(scans=7), Guarantee(void_since_ns=12, sensor="gps"))
     health.dropped("encoders", 4)
     snapshot = json.loads(json.dumps(health.snapshot(S)))
     assert snapshot["guarantee"] == {"intact": False, "void_since_ns": 12, "sensor": "gps"}

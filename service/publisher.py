@@ -1,0 +1,503 @@
+"""What leaves the robot: one thread that owns the Zenoh session and sends what changed.
+
+The pipeline hands over through a mailbox with one slot, fills it only when it is empty, and never waits: changes
+coalesce by themselves. Every message may be dropped by the network; the digest tells a subscriber what it missed, and
+a get on the tile's key brings it. A session that fails is opened again; mapping goes on meanwhile.
+"""
+
+import secrets
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass as plain_dataclass
+from math import inf
+from typing import Annotated, Any
+
+import zenoh
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from drivers.config import STRICT, Positive
+from drivers.errors import LinkError
+from estimator.bounded_pose import INTACT, Anchor, BoundedPose, Guarantee
+from mapper.tile import Tile, changed, content_crc, snap_outward
+from mapper.tile_codec import encode
+from service.messages import (
+    DigestEntry,
+    DigestPart,
+    TileId,
+    TileNote,
+    digest_parts,
+    digest_root,
+    guarantee_message,
+    write,
+    write_anchor,
+    write_plain,
+    write_pose,
+)
+from service.session import AddressAway, open_session
+from service.topics import (
+    ANCHOR,
+    DIGEST,
+    HEALTH,
+    INFO,
+    POSE,
+    TILE,
+    Kind,
+    Topic,
+    parse_tile_key,
+    robot_key,
+    tile_key,
+    topic_key,
+)
+
+MAP_FRAME = "map"
+FIRST_RETRY_S, LAST_RETRY_S = 0.2, 5.0
+"""Back-off between attempts to open the session again."""
+MAX_QUERIES = 256
+"""Questions that may wait for their answers; further ones go unanswered, and are counted."""
+START_TIMEOUT_S = 15.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class PublishConfig:
+    """Where and how often the map is published."""
+
+    listen: Sequence[str] = ("tcp/127.0.0.1:7447",)
+    """Zenoh addresses at which subscribers connect, as tcp/0.0.0.0:7447."""
+    connect: Sequence[str] = ()
+    """Zenoh routers to connect to."""
+    digest_period_s: Positive = 1.0
+    """How often subscribers learn what they may have missed."""
+    pose_rate_hz: Annotated[float, Field(gt=0, le=1000)] = 10.0
+    health_period_s: Positive = 1.0
+    max_bytes_per_s: Annotated[float, Field(ge=10_000)] = 10e6
+    """Tiles and answers together stay below this: set it below what the radio carries."""
+    multicast: bool = False
+    """Announce the robot on the local network, so that subscribers need no address."""
+
+
+@plain_dataclass(frozen=True, slots=True, eq=False)
+class MapUpdate:
+    """What the pipeline hands over."""
+
+    tiles: tuple[Tile, ...]
+    """Whole tiles that changed since the last update."""
+    pose: BoundedPose | None
+    anchor: Anchor | None
+    health: Mapping[str, Any]
+    guarantee: Guarantee
+    released_ns: int
+    """Host's monotonic clock when the last sample in it had been read."""
+
+
+@plain_dataclass(frozen=True, slots=True)
+class PublishedTile:
+    """The last published state of a tile."""
+
+    tile: Tile
+    version: int
+
+
+class PublishedMap:
+    """The map as subscribers are to have it: each tile snapped outward, with a version and a CRC."""
+
+    def __init__(self) -> None:
+        self._tiles: dict[TileId, PublishedTile] = {}
+        self._crcs: dict[TileId, int] = {}
+        """Worked out when a digest asks: a tile changes many times a second, a digest comes once."""
+
+    def __len__(self) -> int:
+        return len(self._tiles)
+
+    def __iter__(self) -> Iterator[TileId]:
+        return iter(list(self._tiles))
+
+    def get(self, tile: TileId) -> PublishedTile | None:
+        """The last published state of a tile."""
+        return self._tiles.get(tile)
+
+    def update(self, tile: Tile) -> tuple[Kind, Tile, int] | None:
+        """Take a tile's new state: what to send for it (kind, cells, version); None where nothing changed."""
+        place = TileId(tile.submap, tile.ix, tile.iy)
+        old = self._tiles.get(place)
+        new = snap_outward(tile)
+        delta = changed(None if old is None else old.tile, new)
+        cells = delta.cells_seen
+        if cells == 0:
+            return None
+        version = 1 if old is None else old.version + 1
+        self._tiles[place] = PublishedTile(new, version)
+        self._crcs.pop(place, None)
+        if old is None or 2 * cells > new.cells_seen:
+            return "full", new, version
+        return "delta", delta, version
+
+    def entries(self) -> list[DigestEntry]:
+        """What a digest lists, in rising order."""
+        for place, published in self._tiles.items():
+            if place not in self._crcs:
+                self._crcs[place] = content_crc(published.tile)
+        return sorted(DigestEntry(*place, crc) for place, crc in self._crcs.items())
+
+
+class TokenBucket:
+    """Keeps a mean rate: a message may go while tokens are left, and may leave a debt to be waited out."""
+
+    def __init__(self, per_s: float) -> None:
+        self._per_s = per_s
+        self._burst = min(per_s, max(65536.0, 0.05 * per_s))
+        self._tokens = self._burst
+        self._filled_s: float | None = None
+
+    def delay_s(self, now_s: float) -> float:
+        """How long until the next message may go; 0 now."""
+        if self._filled_s is not None:
+            self._tokens = min(self._burst, self._tokens + (now_s - self._filled_s) * self._per_s)
+        self._filled_s = now_s
+        return 0.0 if self._tokens > 0 else (1.0 - self._tokens) / self._per_s
+
+    def spend(self, size: int) -> None:
+        """A message of `size` bytes went."""
+        self._tokens -= size
+
+
+@plain_dataclass(slots=True)
+class _Answer:
+    """A question, and the keys still to be sent for it."""
+
+    query: zenoh.Query
+    tiles: Iterator[TileId]
+    topics: Iterator[Topic]
+
+
+class Publisher:
+    """Owns the session from `start` to `close`; only its own thread touches it."""
+
+    def __init__(self, config: PublishConfig, robot: str, info: Mapping[str, Any] | None = None) -> None:
+        """`info` is added to what `.../info` says."""
+        self.counts: Counter[str] = Counter()
+        """Messages and bytes sent, deltas and full tiles, questions answered, sessions failed."""
+        self.epoch = secrets.token_hex(8)
+        """Names this run: subscribers begin anew when it changes."""
+        self.failure: str | None = None
+        """Why there is no session at present."""
+        self._config = config
+        self._robot = robot
+        self._info = {"robot": robot, "epoch": self.epoch, "frame": MAP_FRAME, "format": "docs/tile-format.md"}
+        self._info |= {} if info is None else dict(info)
+        self._wake = threading.Condition()
+        # Between the threads, under the condition's lock:
+        self._slot: MapUpdate | None = None
+        self._questions: deque[zenoh.Query] = deque()
+        self._flush_wanted = False
+        self._flushed = False
+        self._stopping = False
+        self._started = threading.Event()
+        self._refused: LinkError | None = None
+        # The publisher thread's own:
+        self._map = PublishedMap()
+        self._bucket = TokenBucket(config.max_bytes_per_s)
+        self._tiles: deque[Tile] = deque()
+        self._answers: deque[_Answer] = deque()
+        self._update: MapUpdate | None = None
+        self._unsent_pose: BoundedPose | None = None
+        self._guarantee = INTACT
+        self._anchor: bytes | None = None
+        self._unsent_anchor = False
+        self._health: Mapping[str, Any] | None = None
+        self._pose_due_s = self._health_due_s = self._digest_due_s = -inf
+        self._sequence = 0
+        self._listed_root: int | None = None
+        self._thread = threading.Thread(target=self._run, name="publisher", daemon=True)
+
+    # Called by the pipeline and by whoever owns the publisher
+
+    def start(self) -> None:
+        """Open the session. Raises LinkError where its address is wrong or in use.
+
+        An address that this host merely doesn't have yet (the radio is still coming up) is waited for in background.
+        """
+        self._thread.start()
+        self._started.wait(START_TIMEOUT_S)
+        if self._refused is not None:
+            self._thread.join()
+            raise self._refused
+
+    @property
+    def ready(self) -> bool:
+        """Is the mailbox empty?"""
+        return self._slot is None
+
+    def offer(self, update: MapUpdate) -> bool:
+        """Put an update into the mailbox; False (and counted) where the last one is still in it. Never waits."""
+        with self._wake:
+            if self._slot is not None:
+                self.counts["offers_refused"] += 1
+                return False
+            self._slot = update
+            self._flushed = False
+            self._wake.notify_all()
+        return True
+
+    def wait_until_ready(self, timeout_s: float) -> bool:
+        """Wait until the mailbox is empty; False after the timeout."""
+        with self._wake:
+            return self._wake.wait_for(lambda: self._slot is None, timeout_s)
+
+    def flush(self, timeout_s: float) -> bool:
+        """An orderly end: send everything that was offered, then a final digest; False after the timeout."""
+        with self._wake:
+            self._flush_wanted, self._flushed = True, False
+            self._wake.notify_all()
+            return self._wake.wait_for(lambda: self._flushed, timeout_s)
+
+    def close(self) -> None:
+        """End the thread and its session."""
+        with self._wake:
+            self._stopping = True
+            self._wake.notify_all()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def state(self) -> dict[str, Any]:
+        """How publishing does, for health."""
+        return {"open": self._started.is_set() and self.failure is None, "failure": self.failure, **self.counts}
+
+    # The publisher thread
+
+    def _run(self) -> None:
+        """Open a session and serve; when it fails, wait a little longer each time and open it again."""
+        pause_s = FIRST_RETRY_S
+        while not self._stopping:
+            try:
+                config = self._config
+                with open_session("peer", config.listen, config.connect, config.multicast) as session:
+                    self.failure = None
+                    self._started.set()
+                    pause_s = FIRST_RETRY_S
+                    self._serve(session)
+            except LinkError as error:
+                if not self._started.is_set() and not isinstance(error, AddressAway):
+                    self._refused = error
+                    self._started.set()
+                    return
+                self._session_failed(str(error))
+            except zenoh.ZError as error:
+                self._session_failed(str(error))
+            self._started.set()
+            with self._wake:
+                self._wake.wait_for(lambda: self._stopping, pause_s)
+            pause_s = min(2 * pause_s, LAST_RETRY_S)
+
+    def _session_failed(self, failure: str) -> None:
+        self.failure = failure
+        self.counts["session_failures"] += 1
+        self._answers.clear()
+        with self._wake:
+            self._questions.clear()
+
+    def _serve(self, session: zenoh.Session) -> None:
+        """Send whatever is due, sleep until something is; one message at a time, so that nothing waits long."""
+        self._listed_root = None
+        with (
+            session.declare_queryable(f"{robot_key(self._robot)}/**", self._ask),
+            session.liveliness().declare_token(robot_key(self._robot)),
+        ):
+            while self._wait_for_work():
+                now_s = time.monotonic()
+                self._send_periodic(session, now_s)
+                if self._bucket.delay_s(now_s) > 0:
+                    continue
+                if self._tiles:
+                    self._send_tile(session, self._tiles.popleft())
+                elif self._update is not None:
+                    self._update = None
+                if self._answers:
+                    self._answer(self._answers[0])
+
+    def _ask(self, query: zenoh.Query) -> None:
+        """A question has come (on a thread of Zenoh's): queue it for the publisher thread."""
+        with self._wake:
+            if len(self._questions) >= MAX_QUERIES:
+                self.counts["questions_dropped"] += 1
+                query.drop()
+                return
+            self._questions.append(query)
+            self._wake.notify_all()
+
+    def _wait_for_work(self) -> bool:
+        """Sleep until something is due; False when the publisher is to end."""
+        with self._wake:
+            while not self._stopping:
+                now_s = time.monotonic()
+                self._take_questions()
+                if self._update is None and self._slot is not None:
+                    self._take_update(self._slot)
+                    self._slot = None
+                    self._wake.notify_all()
+                delay_s = self._delay_s(now_s)
+                if delay_s <= 0:
+                    return True
+                self._wake.wait(delay_s)
+        return False
+
+    def _delay_s(self, now_s: float) -> float:
+        """How long nothing is due."""
+        if self._flush_wanted and self._update is None and self._slot is None:
+            return 0.0
+        due_s = self._digest_due_s
+        if self._unsent_pose is not None:
+            due_s = min(due_s, self._pose_due_s)
+        if self._health is not None:
+            due_s = min(due_s, self._health_due_s)
+        delay_s = due_s - now_s
+        if self._update is not None or self._answers:
+            delay_s = min(delay_s, self._bucket.delay_s(now_s))
+        return delay_s
+
+    def _take_update(self, update: MapUpdate) -> None:
+        """An update has come: its tiles are next, the rest goes when it is due."""
+        self._update = update
+        self._tiles.extend(update.tiles)
+        self._health = update.health
+        if update.pose is not None:
+            self._unsent_pose = update.pose
+        if update.anchor is not None:
+            anchor = write_anchor(update.anchor)
+            self._unsent_anchor = self._unsent_anchor or anchor != self._anchor
+            self._anchor = anchor
+        self._guarantee = update.guarantee
+
+    def _send_periodic(self, session: zenoh.Session, now_s: float) -> None:
+        """Pose, anchor, health, info and digest, each when it is due."""
+        if self._unsent_pose is not None and now_s >= self._pose_due_s:
+            self._pose_due_s = now_s + 1 / self._config.pose_rate_hz
+            pose, self._unsent_pose = self._unsent_pose, None
+            self._put(session, POSE, write_pose(pose))
+        if self._health is not None and now_s >= self._health_due_s:
+            self._health_due_s = now_s + self._config.health_period_s
+            self._put(session, HEALTH, self._topic(HEALTH))
+        if self._unsent_anchor and self._anchor is not None:
+            self._unsent_anchor = False
+            self._put(session, ANCHOR, self._anchor)
+        final = self._flush_wanted and self._update is None and self.ready
+        if final or now_s >= self._digest_due_s:
+            self._digest_due_s = now_s + self._config.digest_period_s
+            self._send_digest(session, final)
+
+    def _send_digest(self, session: zenoh.Session, final: bool) -> None:
+        """Info, anchor and digest; the tiles are listed only when something changed since the last listing."""
+        self._put(session, INFO, self._topic(INFO))
+        if self._anchor is not None:
+            self._put(session, ANCHOR, self._anchor)
+        for part in self._digest(final, summary_if_root=self._listed_root):
+            self._put(session, DIGEST, write(part))
+            self._listed_root = part.root
+        if final:
+            with self._wake:
+                if self._slot is None:
+                    self._flush_wanted, self._flushed = False, True
+                    self._wake.notify_all()
+
+    def _digest(self, final: bool, summary_if_root: int | None = None) -> Iterator[DigestPart]:
+        """The present digest; a summary alone where its root is this one."""
+        self._sequence += 1
+        entries = self._map.entries()
+        root = digest_root(entries)
+        if root == summary_if_root:
+            return iter([DigestPart(self.epoch, self._sequence, final, len(entries), root, 0, 0, [])])
+        return digest_parts(self.epoch, self._sequence, final, entries, root)
+
+    def _send_tile(self, session: zenoh.Session, tile: Tile) -> None:
+        """Send what changed of one tile since it was last sent."""
+        news = self._map.update(tile)
+        if news is None or self._update is None:
+            return
+        kind, cells, version = news
+        payload = encode(cells, MAP_FRAME, time.time_ns())
+        note = TileNote(self.epoch, version, guarantee_message(self._update.guarantee), self._update.released_ns)
+        key = tile_key(self._robot, tile.submap, tile.ix, tile.iy, kind)
+        self.counts[f"{kind}_tiles"] += 1
+        self._bucket.spend(len(payload))
+        self._put(session, TILE, payload, key, write(note))
+
+    def _put(
+        self, session: zenoh.Session, topic: Topic, payload: bytes, key: str | None = None, note: bytes | None = None
+    ) -> None:
+        """Send one message; a full queue drops it."""
+        session.put(
+            topic_key(self._robot, topic) if key is None else key,
+            payload,
+            encoding=topic.encoding,
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=topic.priority,
+            express=topic.express,
+            attachment=note,
+        )
+        self.counts["messages"] += 1
+        self.counts["bytes"] += len(payload)
+
+    def _topic(self, topic: Topic) -> bytes:
+        """`info` and `health` as they are now."""
+        if topic is INFO:
+            return write_plain(self._info | {"tiles": len(self._map)})
+        try:
+            return write_plain({**(self._health or {}), "publisher": self.state()})
+        except (ValueError, TypeError) as error:
+            self.counts["unsendable_health"] += 1
+            return write_plain({"failure": f"health can't be written: {error}", "publisher": self.state()})
+
+    # Answers to late joiners and for repair
+
+    def _take_questions(self) -> None:
+        """Work out which keys each waiting question asks for."""
+        while self._questions:
+            query = self._questions.popleft()
+            asked = query.key_expr
+            single = parse_tile_key(str(asked))
+            if single is not None:
+                place = TileId(single.submap, single.ix, single.iy)
+                tiles = iter([place] if single.kind == "full" and self._map.get(place) else [])
+                self._answers.append(_Answer(query, tiles, iter([])))
+                continue
+            topics = [t for t in (INFO, ANCHOR, HEALTH, DIGEST) if asked.intersects(topic_key(self._robot, t))]
+            matching = (place for place in self._map if asked.intersects(tile_key(self._robot, *place, "full")))
+            self._answers.append(_Answer(query, matching, iter(topics)))
+
+    def _answer(self, answer: _Answer) -> None:
+        """Send one message of an answer; a question whose answer is complete is let go."""
+        try:
+            if (topic := next(answer.topics, None)) is not None:
+                for payload in self._topic_answer(topic):
+                    key = topic_key(self._robot, topic)
+                    self._bucket.spend(len(payload))
+                    answer.query.reply(key, payload, encoding=topic.encoding)
+                return
+            place = next(answer.tiles, None)
+            published = None if place is None else self._map.get(place)
+            if place is not None and published is not None:
+                guarantee = guarantee_message(self._guarantee)
+                note = write(TileNote(self.epoch, published.version, guarantee))
+                payload = encode(published.tile, MAP_FRAME, time.time_ns())
+                self._bucket.spend(len(payload))
+                key = tile_key(self._robot, *place, "full")
+                answer.query.reply(key, payload, encoding=TILE.encoding, attachment=note)
+                self.counts["tiles_answered"] += 1
+                return
+        except zenoh.ZError:
+            # Who asked is gone.
+            self.counts["answers_failed"] += 1
+        self._answers.popleft()
+        answer.query.drop()
+
+    def _topic_answer(self, topic: Topic) -> list[bytes]:
+        """What a get on a topic brings."""
+        if topic is DIGEST:
+            return [write(part) for part in self._digest(final=False)]
+        if topic is ANCHOR:
+            return [] if self._anchor is None else [self._anchor]
+        if topic is HEALTH and self._health is None:
+            return []
+        return [self._topic(topic)]
