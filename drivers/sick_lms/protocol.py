@@ -1,0 +1,324 @@
+"""The host's end of a SICK LMS2xx: finds it, sets it up, and turns its telegrams into scans. No port, no clock."""
+
+from collections import Counter
+from dataclasses import dataclass
+from math import ceil, floor
+
+from drivers.config import LaserConfig
+from drivers.samples import Scan
+from drivers.sick_lms.framing import Frame, FrameReader
+from drivers.sick_lms.measurements import (
+    CM,
+    DISTANCE_BITS,
+    MM,
+    TURN_NS,
+    RangeTelegram,
+    ValueFormat,
+    count_word,
+    full_sweep,
+    partial_sweep,
+    scan_of,
+)
+from drivers.sick_lms.startup import MOST_WRITES, STEPS, TRANSITIONS, WAITS_MS, Found, Goal, Outcome, State
+from drivers.sick_lms.telegrams import (
+    NAK,
+    OVERHEAD,
+    POWER_ON,
+    RANGES,
+    REFUSED,
+    RESETTING,
+    SOURCE,
+    Command,
+    Configuration,
+    DeviceStatus,
+    DeviceType,
+    Variant,
+    request,
+)
+
+MS = 1_000_000
+RATES = (9600, 38400, 500000, 19200)
+ACK_PATIENCE_MS = 150
+"""The scanner acknowledges within 60 ms; the rest is for the host and its adapter."""
+NAK_PAUSE_MS = 30
+LONGEST_ANSWER = 170
+"""Bytes of the longest answer but a scan: the status telegram."""
+LEAST_WATCHDOG_MS = 500
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """Which scanner this is."""
+
+    type: str
+    firmware: str
+    serial: str
+
+
+def goal_of(config: LaserConfig) -> Goal:
+    """What the configuration asks of the scanner."""
+    interlaced = (config.scan_angle_deg, config.resolution_deg) == (180, 0.25)
+    return Goal(
+        # 180 degrees at 0.25 degree are partial scans, which always cover 180 degrees; the scanner itself is set to
+        # 100 degrees, the only angle at which it knows this resolution.
+        variant=Variant(100 if interlaced else config.scan_angle_deg, round(100 * config.resolution_deg)),
+        interlaced=interlaced,
+        baud=config.baud,
+        unit=MM if config.unit == "mm" else CM,
+        reach_m=config.range_max_m,
+    )
+
+
+def latency_ns(config: LaserConfig) -> tuple[int, int]:
+    """Declared [least, most] latency, rounded outward."""
+    return floor(config.latency_ms[0] * MS), ceil(config.latency_ms[1] * MS)
+
+
+class SickLmsProtocol:
+    """A conversation with one scanner, from wherever it stands to a stream of scans, and back there after any loss."""
+
+    def __init__(self, config: LaserConfig) -> None:
+        self.counts: Counter[str] = Counter()
+        self.identity: Identity | None = None
+        """Known once the scanner has answered."""
+        self._write_allowed = config.write_configuration
+        self._goal = goal_of(config)
+        self._latency_ns = latency_ns(config)
+        self._rates = tuple(dict.fromkeys((config.baud, *RATES)))
+        self._baud: int = config.baud
+        self._reader = FrameReader(self.counts)
+        self._found = Found()
+        self._format = ValueFormat(DISTANCE_BITS[0], self._goal.unit)
+        self._outbox = bytearray()
+        self._trouble = ""
+        self._state = State.TUNING
+        self._deadline_ns = 0
+        self._tries = 0
+        self._acknowledged = False
+        self._heard = False  # an intact telegram or an ACK, since the request was sent first
+        self._writes = 0
+
+    @property
+    def baud(self) -> int:
+        """Line rate wanted now."""
+        return self._baud
+
+    @property
+    def deadline_ns(self) -> int:
+        """When `advance` wants to be called next."""
+        return self._deadline_ns
+
+    @property
+    def state(self) -> str:
+        """Where the conversation stands, for people."""
+        if self._state is State.HALTED:
+            return f"halted: {self._trouble}"
+        if self._state in (State.TUNING, State.FINDING):
+            return f"finding the scanner at {self._baud} baud"
+        return str(self._state.value)
+
+    @property
+    def streaming(self) -> bool:
+        """Do scans flow?"""
+        return self._state is State.STREAMING
+
+    def data_to_send(self) -> bytes:
+        """Bytes to write now."""
+        data = bytes(self._outbox)
+        self._outbox.clear()
+        return data
+
+    def receive_data(self, data: bytes, stamp_ns: int) -> list[Scan]:
+        """Scans that `data` completes."""
+        frames = self._reader.receive_data(data, stamp_ns)
+        self._take_acknowledgement(stamp_ns)
+        scans = [scan for frame in frames if (scan := self._take_frame(frame, stamp_ns)) is not None]
+        self.advance(stamp_ns)  # garbage that never ends must not keep time from passing
+        return scans
+
+    def advance(self, now_ns: int) -> None:
+        """Repeat a request, or give up waiting, once the deadline has passed."""
+        if now_ns < self._deadline_ns:
+            return
+        step = STEPS.get(self._state)
+        if step is None:
+            if self._state is State.STREAMING:
+                self.counts["silences"] += 1
+                self._end(Outcome.SILENT, now_ns)
+            else:
+                self._end(Outcome.ELAPSED, now_ns)
+        elif self._tries < (step.tries if self._heard or self._state is not State.FINDING else 1):
+            self.counts["repeats"] += 1
+            self._send(now_ns)
+        else:
+            self._end(Outcome.SILENT, now_ns)
+
+    # What comes in
+
+    def _take_acknowledgement(self, now_ns: int) -> None:
+        byte = self._reader.take_acknowledgement()
+        if byte is None or (step := STEPS.get(self._state)) is None:
+            return
+        if byte == NAK:
+            self.counts["naks"] += 1
+            self._heard = True
+            self._deadline_ns = now_ns + NAK_PAUSE_MS * MS  # where `advance` repeats the request
+        else:
+            self._acknowledged = True
+            self._heard = True
+            self._deadline_ns = now_ns + step.patience_ms * MS + self._line_ns(LONGEST_ANSWER)
+
+    def _take_frame(self, frame: Frame, now_ns: int) -> Scan | None:
+        self._heard = True
+        step = STEPS.get(self._state)
+        if frame.command == RANGES:
+            return self._take_ranges(frame, now_ns)
+        if frame.command in (POWER_ON, RESETTING):
+            self.counts["resets"] += 1
+            self._go(State.FINDING, now_ns)
+        elif step is not None and frame.command == step.answer:
+            self._end(self._judge(frame.payload), now_ns)
+        elif step is not None and frame.command == REFUSED:
+            self.counts["refusals"] += 1
+            self._trouble = f"the scanner refused {self._state.value}"
+            self._end(Outcome.REFUSED, now_ns)
+        else:
+            self.counts["stray_answers"] += 1
+        return None
+
+    def _take_ranges(self, frame: Frame, now_ns: int) -> Scan | None:
+        if self._state is State.STARTING:  # its answer was lost, but it streams
+            self._end(Outcome.DONE, now_ns)
+        if self._state is not State.STREAMING:
+            self.counts["scans_before_start"] += 1
+            return None
+        self.counts["scans"] += 1
+        self._deadline_ns = now_ns + self._watchdog_ns()
+        telegram = RangeTelegram.parse(frame.payload)
+        sweep = partial_sweep(telegram.quarter) if self._goal.interlaced else full_sweep(self._goal.variant)
+        return scan_of(telegram, sweep, self._format, frame.stamp_ns, self._latency_ns)
+
+    def _judge(self, payload: bytes) -> Outcome:
+        """What the awaited answer means."""
+        match payload[0]:
+            case Command.MODE.answer if payload[1] != 0:
+                reason = "the password is wrong" if payload[1] == 1 else "fault in the scanner"
+                self._trouble = f"{self._state.value}: {reason}"
+                return Outcome.REFUSED
+            case Command.TYPE.answer:
+                kind = DeviceType.parse(payload)
+                self.identity = Identity(kind.model, kind.text.split(";")[-1].strip(), "")
+            case Command.STATUS.answer:
+                self._reader.source = payload[-1] & SOURCE
+                self._found.status = status = DeviceStatus.parse(payload)
+                self.identity = Identity(self.identity.type if self.identity else "", status.firmware, status.serial)
+            case Command.READ_CONFIGURATION.answer:
+                return self._judge_configuration(Configuration.parse(payload))
+            case Command.WRITE_CONFIGURATION.answer if payload[1] != 1:
+                return Outcome.REFUSED
+            case Command.VARIANT.answer if payload[1] != 1 or Variant.parse(payload) != self._goal.variant:
+                wanted = self._goal.variant
+                self._trouble = (
+                    f"the scanner can't scan {wanted.angle_deg} degrees at {wanted.resolution_cdeg / 100} degree; "
+                    "set scan_angle_deg and resolution_deg to what it can"
+                )
+                return Outcome.REFUSED
+        return Outcome.DONE
+
+    def _judge_configuration(self, found: Configuration) -> Outcome:
+        self._found.configuration = found
+        wanted = self._goal.configuration(found)
+        if found == wanted:
+            return Outcome.DONE
+        if self._write_allowed and self._writes < MOST_WRITES:
+            return Outcome.DIFFERS
+        # The declared range error holds for the declared unit only. A shorter reach alone does no harm.
+        if found.unit == wanted.unit and found.measuring_mode in DISTANCE_BITS and not self._goal.interlaced:
+            self.counts["short_reach"] += 1
+            return Outcome.DONE
+        units = {CM: "cm", MM: "mm"}
+        self._trouble = (
+            f"the scanner measures in {units.get(found.unit, hex(found.unit))}, mode {found.measuring_mode:02X}h, "
+            f"but {units[wanted.unit]}, mode {wanted.measuring_mode:02X}h is needed; "
+            + (
+                "it does not take its new configuration"
+                if self._write_allowed
+                else "set write_configuration = true, or unit to the scanner's"
+            )
+        )
+        return Outcome.REFUSED
+
+    # What goes out
+
+    def _end(self, outcome: Outcome, now_ns: int) -> None:
+        """Leave the state."""
+        if self._state is State.SWITCHING_RATE and outcome is Outcome.DONE:
+            self._set_baud(self._goal.baud)
+        self._go(TRANSITIONS[self._state][outcome], now_ns)
+
+    def _go(self, state: State, now_ns: int) -> None:
+        """Enter `state`; a step that is needless leads straight on."""
+        lost = state is State.FINDING and self._state not in (State.TUNING, State.FINDING)
+        while (step := STEPS.get(state)) is not None and step.needless(self._goal, self._found):
+            state = TRANSITIONS[state][Outcome.NEEDLESS]
+        if state is State.TUNING:
+            self._set_baud(self._rates[(self._rates.index(self._baud) + 1) % len(self._rates)])
+        if state is State.FINDING:
+            if lost:
+                self.counts["restarts"] += 1
+            self._found = Found()
+            self._reader.scan_headers = None
+            self._reader.source = None
+        if state is State.STARTING:
+            self._expect_scans()
+        self._state = state
+        self._tries = 0
+        self._heard = False
+        if step is not None:
+            if state is State.WRITING_CONFIGURATION:
+                self._writes += 1
+                self.counts["configuration_writes"] += 1
+            self._send(now_ns)
+        elif state is State.STREAMING:
+            self._outbox.clear()
+            self._deadline_ns = now_ns + self._watchdog_ns()
+        else:
+            self._outbox.clear()
+            self._deadline_ns = now_ns + WAITS_MS[state] * MS
+
+    def _send(self, now_ns: int) -> None:
+        """The present state's request, once more."""
+        data = request(STEPS[self._state].request(self._goal, self._found))
+        self._outbox[:] = data
+        self._tries += 1
+        self._acknowledged = False
+        self._reader.expect_acknowledgement()
+        patience = ACK_PATIENCE_MS * MS + self._latency_ns[1]
+        self._deadline_ns = now_ns + patience + self._line_ns(len(data) + LONGEST_ANSWER)
+
+    def _set_baud(self, baud: int) -> None:
+        self._baud = baud
+        self._reader.clear()
+
+    def _expect_scans(self) -> None:
+        """From here on exactly these scans can be real."""
+        configuration = self._found.configuration
+        assert configuration is not None  # no path to STARTING avoids reading it
+        unit = configuration.unit
+        self._format = ValueFormat(DISTANCE_BITS[configuration.measuring_mode], unit)
+        if self._goal.interlaced:
+            words = [count_word(partial_sweep(quarter).count, unit, True, quarter) for quarter in range(4)]
+        else:
+            words = [count_word(full_sweep(self._goal.variant).count, unit)]
+        beside_values = 6 if configuration.appends_indices else 4
+        self._reader.scan_headers = frozenset((beside_values + 2 * (word & 0x3FF), word) for word in words)
+
+    def _line_ns(self, size: int) -> int:
+        """Time that `size` bytes need on the line: 10 bits each."""
+        return size * 10_000_000_000 // self._baud
+
+    def _watchdog_ns(self) -> int:
+        """Three scan periods: a slow line sends only every n-th scan."""
+        sweep = partial_sweep(0) if self._goal.interlaced else full_sweep(self._goal.variant)
+        period = self._line_ns(2 * sweep.count + 4 + OVERHEAD) + sweep.turns * TURN_NS
+        return max(LEAST_WATCHDOG_MS * MS, 3 * period)

@@ -1,0 +1,388 @@
+"""The scanner's end of a SICK LMS2xx line, as strict as the manual: LMS2XX sections 1 to 7.
+
+The mirror turns whether or not anybody listens. A scan is sent only if it is complete at the end of a turn and the line
+is free at that instant, so a slow line sends every n-th scan, as the real one does.
+"""
+
+import heapq
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.sick_lms.measurements import (
+    DISTANCE_BITS,
+    TURN_NS,
+    RangeTelegram,
+    Sweep,
+    ValueFormat,
+    full_sweep,
+    partial_sweep,
+)
+from drivers.sick_lms.telegrams import (
+    ACK,
+    BAUD_MODES,
+    NAK,
+    OVERHEAD,
+    PASSWORD,
+    POWER_ON,
+    REFUSED,
+    RESETTING,
+    STATUS_OK,
+    STX,
+    VARIANTS,
+    Command,
+    Configuration,
+    DeviceStatus,
+    DeviceType,
+    Mode,
+    Variant,
+    answer,
+    checksum,
+)
+
+MS = 1_000_000
+
+Measure: TypeAlias = Callable[[NDArray[np.int64], NDArray[np.float64]], NDArray[np.float64]]
+"""measure(shot_times_ns [n], angles_rad [n] in the laser's frame) -> ranges_m [n]: NaN no echo, +inf too far."""
+
+FACTORY_RECORD = bytes.fromhex("0000 7000 00 00 01 0000 02 02") + bytes(21) + b"\x02\x00"
+"""8 m in millimetres: the driver has something to write."""
+
+ANSWER_MS: dict[int, int] = {Command.MODE: 30, Command.VARIANT: 40, Command.WRITE_CONFIGURATION: 250}
+"""From ACK to answer, where it takes longer than the usual 8 ms."""
+
+BURST = 508
+"""Bytes of a telegram that the scanner can send within one mirror turn."""
+SILENCE_WITHIN_REQUEST_NS = 6 * MS
+SHORTEST_REQUEST = 7
+
+
+@dataclass(slots=True)
+class _Burst:
+    """Bytes that leave back to back."""
+
+    start_ns: int
+    baud: int
+    data: bytes
+    sent: int = 0
+
+    def end_ns(self, count: int) -> int:
+        """When the last bit of the first `count` bytes leaves."""
+        return self.start_ns + count * 10_000_000_000 // self.baud
+
+    def leave_until(self, now_ns: int) -> bytes:
+        """Bytes that left by `now_ns` and were not handed out yet."""
+        count = min(len(self.data), max(0, (now_ns - self.start_ns) * self.baud // 10_000_000_000))
+        left = self.data[self.sent : count]
+        self.sent = max(self.sent, count)
+        return left
+
+
+class SickLmsEmulator:
+    """One scanner, switched on at `start_ns`."""
+
+    def __init__(
+        self,
+        measure: Measure,
+        *,
+        start_ns: int = 0,
+        boot_ns: int = 500 * MS,
+        type_text: str = "LMS221;302063;V02.30 ",
+        serial: str = "00410123",
+        record: bytes = FACTORY_RECORD,
+        status: int = STATUS_OK,
+    ) -> None:
+        self._measure = measure
+        self._boot_ns = boot_ns
+        self._type = DeviceType(type_text)
+        self._serial = serial
+        self._configuration = Configuration(record)  # EEPROM
+        self.eeprom_writes = 0
+        self.status = status
+        """Status byte of every telegram."""
+        self.misses = 0
+        """How many of the next requests the scanner shall not notice."""
+        self.scans_sent = 0
+        self._now_ns = start_ns
+        self._actions: list[tuple[int, int, Callable[[], None]]] = []
+        self._actions_made = 0
+        self._line: deque[_Burst] = deque()
+        self._line_free_ns = start_ns
+        self._outbox = bytearray()
+        self._request = bytearray()
+        self._request_ns = start_ns
+        self._switch_on()
+
+    @property
+    def baud(self) -> int:
+        """Rate that the scanner speaks and listens at now."""
+        return self._baud
+
+    @property
+    def streaming(self) -> bool:
+        """Does it send scans unasked?"""
+        return self._mode in (Mode.STREAM, Mode.STREAM_PARTIAL)
+
+    @property
+    def configuration(self) -> Configuration:
+        """What its EEPROM holds."""
+        return self._configuration
+
+    def receive_data(self, data: bytes, now_ns: int) -> None:
+        """Take what the host wrote, at time `now_ns`."""
+        self._advance(now_ns)
+        if now_ns - self._request_ns > SILENCE_WITHIN_REQUEST_NS:
+            self._request.clear()
+        self._request_ns = now_ns
+        if not self._booted:
+            return
+        self._request += data
+        self._take_requests()
+
+    def data_to_send(self, now_ns: int) -> bytes:
+        """All bytes whose last bit has left by `now_ns` and that were not handed out yet.
+
+        Bytes sent at different rates never come out together, so that `baud` holds for all of them.
+        """
+        self._advance(now_ns)
+        data = bytes(self._outbox)
+        self._outbox.clear()
+        return data
+
+    def switch_off_and_on(self, now_ns: int) -> None:
+        """The power fails for a moment; only the EEPROM survives."""
+        self._advance(now_ns)
+        self._switch_on()
+
+    def leave_streaming(self, baud: int, mode: Mode = Mode.STREAM, variant: Variant = VARIANTS[0]) -> None:
+        """As a former driver left it: booted, at this rate, sending scans."""
+        self._boot()
+        self._line.clear()
+        self._baud, self._variant = baud, variant
+        self._set_mode(mode)
+
+    # Time
+
+    def _advance(self, now_ns: int) -> None:
+        while True:
+            action_ns = self._actions[0][0] if self._actions else None
+            scan_ns = self._next_scan_ns()
+            due = min((t for t in (action_ns, scan_ns) if t is not None), default=None)
+            if due is None or due > now_ns:
+                break
+            self._now_ns = max(self._now_ns, due)
+            self._leave_line()
+            if action_ns == due:
+                if self._rate_changes_next() and self._outbox:
+                    return  # these bytes go out first: they were sent at the old rate
+                heapq.heappop(self._actions)[2]()
+            else:
+                self._send_scan()
+        self._now_ns = max(self._now_ns, now_ns)
+        self._leave_line()
+
+    def _at(self, time_ns: int, action: Callable[[], None]) -> None:
+        self._actions_made += 1
+        heapq.heappush(self._actions, (time_ns, self._actions_made, action))
+
+    def _rate_changes_next(self) -> bool:
+        return self._actions[0][2] in (self._change_rate, self._switch_on)
+
+    def _leave_line(self) -> None:
+        while self._line:
+            burst = self._line[0]
+            self._outbox += burst.leave_until(self._now_ns)
+            if burst.sent < len(burst.data):
+                break
+            self._line.popleft()
+
+    # Power
+
+    def _switch_on(self) -> None:
+        self._actions.clear()
+        self._line.clear()
+        self._request.clear()
+        self._booted = False
+        self._baud = self._next_baud = 9600
+        self._mode: int = Mode.STOP
+        self._variant = Variant(180, 50)
+        self._mirror_ns = self._now_ns  # a turn began
+        self._stream_ns = self._now_ns
+        self._answering = False
+        self._line_free_ns = self._now_ns
+        self._at(self._now_ns + self._boot_ns, self._power_on)
+
+    def _boot(self) -> None:
+        self._actions.clear()
+        self._booted = True
+
+    def _power_on(self) -> None:
+        self._boot()
+        self._send(answer(self._type.serialise(POWER_ON, self.status)))
+
+    def _change_rate(self) -> None:
+        self._baud = self._next_baud
+
+    # Requests
+
+    def _take_requests(self) -> None:
+        """Whole requests in the buffer; what does not begin with STX and the broadcast address is dropped."""
+        request = self._request
+        while len(request) >= SHORTEST_REQUEST:
+            length = int.from_bytes(request[2:4], "little")
+            if request[0] != STX or request[1] != 0 or not 1 <= length <= 1024:
+                del request[0]
+                continue
+            if len(request) < length + OVERHEAD:
+                return
+            frame = bytes(request[: length + OVERHEAD])
+            del request[: length + OVERHEAD]
+            if self.misses > 0:
+                self.misses -= 1
+                continue
+            self._interrupt()
+            if checksum(frame[:-2]) == int.from_bytes(frame[-2:], "little"):
+                self._answer(frame[4:-2])
+            else:
+                self._at(self._now_ns + 2 * MS, lambda: self._send(bytes((NAK,))))
+
+    def _interrupt(self) -> None:
+        """A request cuts off what is being sent, after the byte that is under way."""
+        for burst in self._line:
+            begun = max(0, -((burst.start_ns - self._now_ns) * burst.baud // 10_000_000_000))
+            burst.data = burst.data[: max(burst.sent, begun)]
+        self._line_free_ns = max([self._now_ns, *(b.end_ns(len(b.data)) for b in self._line if b.data)])
+
+    def _answer(self, payload: bytes) -> None:
+        """ACK, then the answer; what the request does is done when its answer leaves."""
+        acknowledge_ns = self._now_ns + 3 * MS
+        self._answering = True
+        self._at(acknowledge_ns, lambda: self._send(bytes((ACK,))))
+
+        def carry_out() -> None:
+            self._answering = False
+            self._send(answer(self._carry_out(payload) + bytes((self.status,))))
+
+        self._at(acknowledge_ns + ANSWER_MS.get(payload[0], 8) * MS, carry_out)
+
+    def _carry_out(self, payload: bytes) -> bytes:
+        """Do what is asked; the answer's payload without its status byte."""
+        refused = bytes((REFUSED,))
+        match payload[0]:
+            case Command.RESET:
+                # Once more 10 ms after its answer, at 9600 baud, as if it were switched on.
+                self._at(self._now_ns + 10 * MS + 80_000_000_000 // self._baud, self._switch_on)
+                return bytes((RESETTING,))
+            case Command.MODE if len(payload) >= 2:
+                return self._carry_out_mode(payload[1], payload[2:])
+            case Command.SCAN if payload[1:] == b"\x01":
+                return self._ranges(full_sweep(self._variant)).serialise()[:-1]
+            case Command.STATUS:
+                return self._status().serialise()[:-1]
+            case Command.ERRORS:
+                return bytes((Command.ERRORS.answer,))
+            case Command.COUNTERS:
+                return bytes((Command.COUNTERS.answer, 0, 0, 1, 0))
+            case Command.TYPE:
+                return self._type.serialise(Command.TYPE.answer)[:-1]
+            case Command.VARIANT if len(payload) == 5:
+                wanted = Variant.parse(payload)
+                accepted = wanted in VARIANTS
+                if accepted:
+                    self._variant = wanted
+                    self._mode = Mode.STOP  # switching ends a stream
+                return self._variant.serialise_answer(accepted)[:-1]
+            case Command.READ_CONFIGURATION:
+                return self._configuration.serialise_read()[:-1]
+            case Command.WRITE_CONFIGURATION if self._mode == Mode.INSTALLATION:
+                return self._write(payload[1:])
+        return refused
+
+    def _carry_out_mode(self, mode: int, data: bytes) -> bytes:
+        result = 0
+        if mode == Mode.INSTALLATION and data != PASSWORD:
+            result = 1
+        elif mode in BAUD_MODES.values():
+            self._next_baud = next(baud for baud, code in BAUD_MODES.items() if code == mode)
+            # The answer leaves at the old rate; a millisecond later the rate is the new one.
+            self._at(self._now_ns + MS + 90_000_000_000 // self._baud, self._change_rate)
+        elif mode in (Mode.INSTALLATION, Mode.STREAM, Mode.STOP, Mode.STREAM_PARTIAL):
+            self._set_mode(mode)
+        else:
+            return bytes((REFUSED,))
+        return bytes((Command.MODE.answer, result))
+
+    def _set_mode(self, mode: int) -> None:
+        self._mode = mode
+        self._stream_ns = self._now_ns
+
+    def _write(self, data: bytes) -> bytes:
+        """Write the EEPROM; shorter data than the record leaves its end as it was."""
+        record = self._configuration.record
+        wanted = Configuration(data + record[len(data) :])
+        accepted = 7 <= len(data) <= len(record) and wanted.measuring_mode in DISTANCE_BITS and wanted.unit in (0, 1)
+        if accepted:
+            self._configuration = wanted
+            self.eeprom_writes += 1
+        return self._configuration.serialise_written(accepted)[:-1]
+
+    def _status(self) -> DeviceStatus:
+        return DeviceStatus(
+            firmware=self._type.text.split(";")[-1],
+            serial=self._serial,
+            operating_mode=self._mode,
+            measuring_mode=self._configuration.measuring_mode,
+            angle_deg=self._variant.angle_deg,
+            resolution_cdeg=self._variant.resolution_cdeg,
+            baud=self._baud,
+            unit=self._configuration.unit,
+        )
+
+    # Scans
+
+    def _next_scan_ns(self) -> int | None:
+        """End of the mirror turn at which the next scan can leave."""
+        if not self.streaming or self._answering:
+            return None
+        duration = TURN_NS if self._mode == Mode.STREAM_PARTIAL else full_sweep(self._variant).duration_ns
+        ready = max(self._line_free_ns, self._stream_ns + duration)
+        return self._mirror_ns + -((self._mirror_ns - ready) // duration) * duration
+
+    def _send_scan(self) -> None:
+        if self._mode == Mode.STREAM_PARTIAL:
+            turn = (self._now_ns - self._mirror_ns) // TURN_NS - 1
+            offsets = 100 // self._variant.resolution_cdeg
+            quarter = turn % offsets * (4 // offsets)
+            telegram = self._ranges(partial_sweep(quarter), partial=True, quarter=quarter)
+        else:
+            telegram = self._ranges(full_sweep(self._variant))
+        self._send(answer(telegram.serialise()))
+        self.scans_sent += 1
+
+    def _ranges(self, sweep: Sweep, partial: bool = False, quarter: int = 0) -> RangeTelegram:
+        """Measure with the mirror turns that have just ended."""
+        begin = self._now_ns - (self._now_ns - self._mirror_ns) % TURN_NS - sweep.duration_ns
+        ranges_m = self._measure(begin + sweep.beam_offset_ns, sweep.angles_rad)
+        value_format = ValueFormat(DISTANCE_BITS[self._configuration.measuring_mode], self._configuration.unit)
+        turns = (self._now_ns - self._mirror_ns) // TURN_NS
+        return RangeTelegram(
+            codes=value_format.encode(ranges_m),
+            unit=self._configuration.unit,
+            partial=partial,
+            quarter=quarter,
+            indices=(turns % 256, self.scans_sent % 256) if self._configuration.appends_indices else None,
+            status=self.status,
+        )
+
+    def _send(self, data: bytes) -> None:
+        """Put bytes on the line now, or as soon as it is free."""
+        start = max(self._now_ns, self._line_free_ns)
+        for at in range(0, len(data), BURST):
+            burst = _Burst(start, self._baud, data[at : at + BURST])
+            self._line.append(burst)
+            self._line_free_ns = burst.end_ns(len(burst.data))
+            start = max(self._line_free_ns, start + TURN_NS)
