@@ -1,0 +1,197 @@
+"""MAVLink frames, versions 1 and 2: found in a dirty stream, and built.
+
+    v2: FD, length, incompatibility flags, compatibility flags, sequence, system, component, message id (3 bytes),
+        payload (its trailing zeros cut off), checksum (2 bytes), signature (13 bytes if flag 01h is set)
+    v1: FE, length, sequence, system, component, message id (1 byte), payload, checksum
+
+The checksum is X.25 over everything between the magic byte and itself, then over one more byte that the message's
+definition gives. pymavlink's own parser loses intact frames behind a stray magic byte, so the frames are searched here:
+what can't be a header is refused at once, and where a checksum fails the search goes on one byte further. The message
+definitions are pymavlink's.
+"""
+
+import re
+import struct
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any
+
+from pymavlink.dialects.v10 import ardupilotmega as _v1_messages
+from pymavlink.dialects.v20 import ardupilotmega as _messages
+
+_MAGIC_V1, _MAGIC_V2 = 0xFE, 0xFD
+_MAGIC = re.compile(rb"[\xfd\xfe]")
+_SIGNED = 0x01
+_SIGNATURE_BYTES = 13
+_CRC = struct.Struct("<H")
+
+_DEFINITION: dict[int, Any] = dict(_messages.mavlink_map)
+_V1_BYTES: dict[int, int] = {number: m.unpacker.size for number, m in _v1_messages.mavlink_map.items()}
+"""Version 1 knows no extension fields and cuts nothing off: the length is exact."""
+_V1_LENGTHS = frozenset(_V1_BYTES.values())
+_BY_NAME: dict[str, Any] = {m.msgname: m for m in _DEFINITION.values()}
+
+
+def _crc_table() -> tuple[int, ...]:
+    """X.25: the CCITT polynomial 1021h, bits reflected."""
+    table = []
+    for value in range(256):
+        for _ in range(8):
+            value = (value >> 1) ^ (0x8408 if value & 1 else 0)
+        table.append(value)
+    return tuple(table)
+
+
+_CRC_TABLE = _crc_table()
+
+
+def x25(data: bytes, crc: int = 0xFFFF) -> int:
+    """The MAVLink checksum of `data`, continued from `crc`."""
+    for byte in data:
+        crc = (crc >> 8) ^ _CRC_TABLE[(crc ^ byte) & 0xFF]
+    return crc
+
+
+@dataclass(frozen=True, slots=True)
+class MavlinkFrame:
+    """One intact frame."""
+
+    message: str
+    sequence: int
+    system: int
+    component: int
+    payload: bytes
+    version: int = 2
+
+    def fields(self) -> dict[str, Any]:
+        """The payload's fields by name, in the units of the message's definition; for messages without arrays."""
+        unpacker, names = _BY_NAME[self.message].unpacker, _BY_NAME[self.message].ordered_fieldnames
+        values = unpacker.unpack(self.payload.ljust(unpacker.size, b"\0"))
+        return dict(zip(names, values, strict=True))
+
+
+def serialise(frame: MavlinkFrame) -> bytes:
+    """The bytes of `frame`."""
+    definition = _BY_NAME[frame.message]
+    if frame.version == 1:
+        payload = frame.payload
+        head = bytes((len(payload), frame.sequence, frame.system, frame.component, definition.id))
+    else:
+        payload = frame.payload.rstrip(b"\0") or b"\0"
+        addresses = (frame.sequence, frame.system, frame.component)
+        head = bytes((len(payload), 0, 0, *addresses)) + definition.id.to_bytes(3, "little")
+    body = head + payload
+    magic = _MAGIC_V1 if frame.version == 1 else _MAGIC_V2
+    return bytes((magic,)) + body + _CRC.pack(x25(bytes((definition.crc_extra,)), x25(body)))
+
+
+def build(
+    message: str, *, sequence: int = 0, system: int = 1, component: int = 1, version: int = 2, **fields: float
+) -> MavlinkFrame:
+    """A frame from its fields; those not named are zero."""
+    definition = _BY_NAME[message]
+    payload: bytes = definition.unpacker.pack(*(fields.get(name, 0) for name in definition.ordered_fieldnames))
+    if version == 1:
+        payload = payload[: _V1_BYTES[definition.id]]
+    return MavlinkFrame(message, sequence, system, component, payload, version)
+
+
+class MavlinkStream:
+    """Cuts a stream of bytes into frames; every intact one comes out, whatever stands around it.
+
+    counts: `frames`, `bad_crc`, `skipped_bytes` (in no frame).
+    """
+
+    def __init__(self, counts: Counter[str]) -> None:
+        """Counts go into `counts`."""
+        self._counts = counts
+        self._buffer = bytearray()
+        self._reads: list[tuple[int, int]] = []
+        """(offset in the buffer where a read begins, its time)"""
+
+    def clear(self) -> None:
+        """Forget what has not become a frame."""
+        self._counts["skipped_bytes"] += len(self._buffer)
+        self._buffer.clear()
+        self._reads.clear()
+
+    def receive(self, data: bytes, stamp_ns: int) -> list[tuple[MavlinkFrame, int]]:
+        """Take what one read gave; each frame with the time of the read that held its first byte."""
+        if not data:
+            return []
+        frames: list[tuple[MavlinkFrame, int]] = []
+        self._reads.append((len(self._buffer), stamp_ns))
+        self._buffer += data
+        buffer = bytes(self._buffer)
+        position = 0
+        while (magic := _MAGIC.search(buffer, position)) is not None:
+            start = magic.start()
+            self._counts["skipped_bytes"] += start - position
+            position = start
+            size = _frame_bytes(buffer, start)
+            if size is None or start + size > len(buffer):
+                break
+            frame = _checked(buffer[start : start + size]) if size else None
+            if frame is None:
+                self._counts["bad_crc"] += size > 0
+                self._counts["skipped_bytes"] += 1
+                position = start + 1
+                continue
+            self._counts["frames"] += 1
+            position = start + size
+            frames.append((frame, self._time_of(start)))
+        else:
+            self._counts["skipped_bytes"] += len(buffer) - position
+            position = len(buffer)
+        self._discard(position)
+        return frames
+
+    def _time_of(self, offset: int) -> int:
+        return next(stamp_ns for begin, stamp_ns in reversed(self._reads) if begin <= offset)
+
+    def _discard(self, n: int) -> None:
+        del self._buffer[:n]
+        moved = [(begin - n, stamp_ns) for begin, stamp_ns in self._reads]
+        # Of the reads that began before the buffer only the last still has bytes in it.
+        first = max((i for i, (begin, _) in enumerate(moved) if begin <= 0), default=0)
+        self._reads = [(max(0, begin), stamp_ns) for begin, stamp_ns in moved[first:]] if self._buffer else []
+
+
+def _frame_bytes(buffer: bytes, start: int) -> int | None:
+    """Length of the frame whose magic byte is at `start`; None: too early to tell; 0: no header that we know."""
+    rest = len(buffer) - start
+    if rest < 2:
+        return None
+    length = buffer[start + 1]
+    if buffer[start] == _MAGIC_V1:
+        if length not in _V1_LENGTHS:
+            return 0
+        if rest < 6:
+            return None
+        return 8 + length if _V1_BYTES.get(buffer[start + 5]) == length else 0
+    if rest < 3:
+        return None
+    flags = buffer[start + 2]
+    if flags & ~_SIGNED or length == 0:
+        return 0
+    if rest < 10:
+        return None
+    definition = _DEFINITION.get(int.from_bytes(buffer[start + 7 : start + 10], "little"))
+    if definition is None or length > definition.unpacker.size:
+        return 0
+    return 12 + length + (_SIGNATURE_BYTES if flags & _SIGNED else 0)
+
+
+def _checked(data: bytes) -> MavlinkFrame | None:
+    """The frame in exactly these bytes; None where its checksum is wrong."""
+    length = data[1]
+    if data[0] == _MAGIC_V1:
+        version, head_bytes, (sequence, system, component, number) = 1, 6, data[2:6]
+    else:
+        version, head_bytes, (sequence, system, component) = 2, 10, data[4:7]
+        number = int.from_bytes(data[7:10], "little")
+    definition = _DEFINITION[number]
+    end = head_bytes + length
+    if x25(bytes((definition.crc_extra,)), x25(data[1:end])) != _CRC.unpack_from(data, end)[0]:
+        return None
+    return MavlinkFrame(definition.msgname, sequence, system, component, data[head_bytes:end], version)
