@@ -1,0 +1,36 @@
+"""Which pose belongs to which beam: beams shot close together share one pose box that covers all their times."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.samples import Scan
+
+STRETCH_NS = 3_400_000
+"""Beams within this time share a pose: a quarter of a mirror turn; 0.5 m/s moves 2 mm in it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BeamTimes:
+    """Stretches of time that cover every shot of a scan."""
+
+    pose_index: NDArray[np.int32]
+    """[n] the stretch of each beam."""
+    earliest_ns: NDArray[np.int64]
+    """[m] no beam of the stretch was shot before."""
+    latest_ns: NDArray[np.int64]
+    """[m] ... nor after."""
+
+
+def beam_times(scan: Scan) -> BeamTimes:
+    """Cut a scan's shots into stretches of at most STRETCH_NS, each widened by the scan's stamp."""
+    offset = scan.beam_offset_ns
+    bins = (offset - offset.min()) // STRETCH_NS
+    _, pose_index = np.unique(bins, return_inverse=True)
+    count = int(pose_index.max()) + 1
+    first = np.full(count, np.iinfo(np.int64).max)
+    last = np.full(count, np.iinfo(np.int64).min)
+    np.minimum.at(first, pose_index, offset)
+    np.maximum.at(last, pose_index, offset)
+    return BeamTimes(pose_index.astype(np.int32), first + scan.stamp.earliest_ns, last + scan.stamp.latest_ns)

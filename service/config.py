@@ -1,0 +1,117 @@
+"""The one TOML file: read, checked as a whole, every mistake named at once with its path."""
+
+import difflib
+import json
+import re
+import tomllib
+from dataclasses import dataclass as plain_dataclass
+from dataclasses import field, fields, is_dataclass
+from pathlib import Path
+from typing import Annotated, Any, get_args, get_type_hints
+
+from pydantic import Field, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+
+from drivers.config import STRICT, DevicesConfig, Positive
+from drivers.errors import ConfigurationError
+from estimator.config import FilterConfig, RobotConfig
+from mapper.config import MapConfig
+from service.publisher import PublishConfig
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class RecordConfig:
+    """Keep the raw bytes of the drive."""
+
+    path: str | None = None
+    """MCAP file to write while running; None: no recording. A relative path starts at the configuration's folder."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class StoreConfig:
+    """Keep the map."""
+
+    map: str | None = None
+    """`.npz` that is written at the end of a run and every `period_s`; None: the map lives in memory alone."""
+    period_s: Annotated[Positive, Field(ge=1.0)] = 30.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Config:
+    """Everything an owner declares."""
+
+    robot: RobotConfig
+    map: MapConfig
+    devices: DevicesConfig
+    filter: FilterConfig = field(default_factory=FilterConfig)
+    publish: PublishConfig = field(default_factory=PublishConfig)
+    record: RecordConfig = field(default_factory=RecordConfig)
+    store: StoreConfig = field(default_factory=StoreConfig)
+
+
+@plain_dataclass(frozen=True, slots=True)
+class LoadedConfig:
+    """A checked configuration, with its own text (it goes into every capture) and the folder of its relative paths."""
+
+    config: Config
+    text: str
+    folder: Path
+    source: str
+
+    def path(self, relative: str) -> Path:
+        """A path of the configuration, as seen from its file's folder."""
+        return self.folder / Path(relative).expanduser()
+
+
+def load(path: Path) -> LoadedConfig:
+    """Read and check a configuration file. Raises ConfigurationError that names the file and every wrong key."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise ConfigurationError(f"{path}: no such file; docs/config/ holds examples to start from") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error}") from None
+    return parse(text, folder=path.resolve().parent, source=str(path))
+
+
+def parse(text: str, folder: Path, source: str) -> LoadedConfig:
+    """Check a configuration's text. Raises ConfigurationError that names every wrong key."""
+    try:
+        tree = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigurationError(f"{source}: not valid TOML: {error}") from None
+    try:
+        # Through JSON, strictly: a list may stand for a pair, but text never for a number.
+        config = TypeAdapter(Config).validate_json(json.dumps(tree, default=str), strict=True)
+    except ValidationError as error:
+        lines = "\n".join(f"  {_explain(entry)}" for entry in error.errors(include_url=False))
+        count = error.error_count()
+        noun = "mistake" if count == 1 else "mistakes"
+        raise ConfigurationError(f"{source}: {count} {noun} in the configuration\n{lines}") from None
+    return LoadedConfig(config, text, folder, source)
+
+
+def _explain(entry: Any) -> str:
+    """One mistake as one line: path, what was found, what to do."""
+    path = ".".join(str(part) for part in entry["loc"])
+    kind, found = entry["type"], entry["input"]
+    if kind in ("unexpected_keyword_argument", "extra_forbidden"):
+        *parent, name = entry["loc"]
+        known = _keys_at(parent)
+        # Units stand in names: `range_bound` is most likely a `range_bound_m` without its unit.
+        close = [k for k in known if k.startswith(f"{name}_")] or difflib.get_close_matches(str(name), known, n=1)
+        advice = f"did you mean {close[0]}?" if close else f"known keys here: {', '.join(known)}"
+        return f"{path}: unknown key; {advice}"
+    if kind in ("missing", "missing_argument", "missing_keyword_only_argument"):
+        return f"{path}: missing; it has no default, only the owner can know it"
+    message = re.sub(r"^(Value error, |Input )", "", entry["msg"])
+    return f"{path}: {found!r} {message}"
+
+
+def _keys_at(path: list[str | int]) -> list[str]:
+    """Names that the configuration knows in the section at `path`."""
+    kind: Any = Config
+    for part in path:
+        hint = get_type_hints(kind).get(str(part)) if is_dataclass(kind) else None
+        kind = next((choice for choice in (hint, *get_args(hint)) if is_dataclass(choice)), None)
+    return [entry.name for entry in fields(kind)] if is_dataclass(kind) else []

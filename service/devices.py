@@ -1,0 +1,77 @@
+"""Which devices there are: how each port is opened, who speaks its protocol, how its bytes are recorded."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from drivers.gps_nmea.protocol import GpsProtocol
+
+from drivers.imu.protocol import ImuProtocol
+from drivers.protocol import DeviceProtocol
+from drivers.samples import Sample
+from drivers.sick_lms.protocol import SickLmsProtocol
+from drivers.track_encoders.protocol import TrackEncoderProtocol
+from drivers.transports import Transport, open_serial, open_socketcan
+from service.config import LoadedConfig
+
+
+@dataclass(frozen=True, slots=True)
+class Device:
+    """One device of the robot, as the reader needs it."""
+
+    name: str
+    port: str
+    open: Callable[[], Transport]
+    protocol: Callable[[], DeviceProtocol[Sample]]
+    stale_after_s: float
+    """Silence longer than this is a fault."""
+    can_frames: bool = False
+    """Does the port give struct can_frame records rather than bytes?"""
+
+
+def wiring(loaded: LoadedConfig) -> tuple[Device, ...]:
+    """The table of devices. Raises ConfigurationError where the encoders' DBC file can't be used."""
+    devices = loaded.config.devices
+    laser, encoders, imu, gps = devices.laser, devices.encoders, devices.imu, devices.gps
+    dbc = loaded.path(encoders.dbc)
+    framed = encoders.interface == "socketcan"
+    encoder_port = encoders.port if framed else _port(loaded, encoders.port)
+    table = [
+        Device(
+            "encoders",
+            encoder_port,
+            (lambda: open_socketcan(encoder_port, encoders.bitrate))
+            if framed
+            else (lambda: open_serial(encoder_port, 115200)),
+            lambda: TrackEncoderProtocol(encoders, dbc),
+            stale_after_s=0.1,
+            can_frames=framed,
+        ),
+        _serial(loaded, "imu", imu.port, imu.baud, lambda: ImuProtocol(imu), stale_after_s=0.1),
+        _serial(loaded, "laser", laser.port, laser.baud, lambda: SickLmsProtocol(laser), stale_after_s=0.5),
+    ]
+    if gps is not None:
+        table.append(_serial(loaded, "gps", gps.port, gps.baud, lambda: GpsProtocol(gps), stale_after_s=2.0))
+    return tuple(table)
+
+
+def can_frames(devices: tuple[Device, ...]) -> tuple[str, ...]:
+    """Names of the devices whose captures hold CAN frames."""
+    return tuple(device.name for device in devices if device.can_frames)
+
+
+def _serial(
+    loaded: LoadedConfig,
+    name: str,
+    port: str,
+    baud: int,
+    protocol: Callable[[], DeviceProtocol[Sample]],
+    stale_after_s: float,
+) -> Device:
+    """A device on a serial port."""
+    path = _port(loaded, port)
+    return Device(name, path, lambda: open_serial(path, baud), protocol, stale_after_s)
+
+
+def _port(loaded: LoadedConfig, port: str) -> str:
+    """Ports are absolute, or as seen from the configuration's folder."""
+    return str(loaded.path(port))

@@ -1,0 +1,171 @@
+"""The service while it runs: readers, pipeline thread, publisher, and the saving of the map.
+
+Used alike by `run`, `demo`, `replay --ports` and the tests; they differ in the clock and in where the ports lead.
+"""
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+
+from drivers.capture import CaptureWriter
+from drivers.clock import Clock
+from estimator.bounded_pose import BoundedPose
+from mapper.saved_map import assemble, save
+from service.config import LoadedConfig
+from service.devices import Device, can_frames, wiring
+from service.health import Health
+from service.messages import write_anchor
+from service.pipeline import Pipeline
+from service.publisher import MAP_FRAME, MapUpdate, Publisher
+from service.reader import Reader
+from service.sample_queue import SampleQueue
+
+IDLE_S = 0.02
+"""The pipeline thread looks up this often when no sample comes."""
+OFFER_PERIOD_NS = 100_000_000
+"""Pose and health are offered at least this often, also when no cell changed."""
+
+
+class Onboard:
+    """Everything that runs on the robot, between `start` and `stop`."""
+
+    def __init__(
+        self,
+        loaded: LoadedConfig,
+        clock: Clock,
+        *,
+        devices: tuple[Device, ...] | None = None,
+        capture: Path | None = None,
+        on_pose: Callable[[BoundedPose], None] | None = None,
+        lockstep: bool = False,
+    ) -> None:
+        """`lockstep`: readers acknowledge their bytes to `clock` once the pipeline has taken the samples."""
+        config = loaded.config
+        self.clock = clock
+        self.pipeline = Pipeline(config, on_pose)
+        self.laser = config.devices.laser
+        self.queue = SampleQueue()
+        self.devices = wiring(loaded) if devices is None else devices
+        self.health = Health()
+        self.publisher = Publisher(config.publish, config.robot.name)
+        self.failure: BaseException | None = None
+        """What ended the pipeline thread, if anything did."""
+        self._loaded = loaded
+        self._capture_path = capture
+        self._lockstep = lockstep
+        self._stopping = threading.Event()
+        self._offered_ns = 0
+        self._save_wanted = threading.Event()
+        self._resources = ExitStack()
+        self._readers: list[Reader] = []
+        self._thread = threading.Thread(target=self._map, name="pipeline", daemon=True)
+
+    def start(self) -> None:
+        """Open what must be there at once (capture file, network session), then begin to read and map.
+
+        Raises CaptureError or LinkError; ports may come and go later.
+        """
+        capture = None
+        if self._capture_path is not None:
+            capture = CaptureWriter(self._capture_path, self._loaded.text, can_frames(self.devices))
+            self._resources.callback(capture.close)
+        self.publisher.start()
+        self._thread.start()
+        acknowledge = self._acknowledge if self._lockstep else None
+        self._readers = [
+            Reader(device, self.clock, self.queue, self.health, capture, acknowledge) for device in self.devices
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    def stop(self, flush_s: float = 2.0) -> None:
+        """End in order: ports, pipeline, saved map, last tiles, capture."""
+        for reader in self._readers:
+            reader.stop()
+        self._stopping.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        self.save_map()
+        self.publisher.flush(flush_s)
+        self.publisher.close()
+        self._resources.close()
+
+    def finish(self) -> None:
+        """The stream has ended, but the publisher lives on: readers stop, the pipeline uses what it still holds."""
+        for reader in self._readers:
+            reader.stop()
+        self._stopping.set()
+        self._thread.join()
+
+    def save_map(self, path: Path | None = None) -> None:
+        """Write the map to `path`, or to where the configuration wants it. Call it once the pipeline has ended."""
+        wanted = self._loaded.config.store.map
+        if path is None and wanted is not None:
+            path = self._loaded.path(wanted)
+        if path is not None:
+            anchor = self.pipeline.filter.anchor
+            tiles, resolution_m = self.pipeline.map.tiles(), self.pipeline.map.config.resolution_m
+            save(
+                assemble(tiles, resolution_m, MAP_FRAME, "" if anchor is None else write_anchor(anchor).decode()), path
+            )
+
+    def request_save(self) -> None:
+        """Have the pipeline thread save the map when it next has a moment."""
+        self._save_wanted.set()
+
+    def _acknowledge(self, device: str, total_bytes: int) -> None:
+        """Tell the lockstep clock that these bytes are dealt with, once the pipeline has taken their samples."""
+        self.queue.wait_until_taken(1.0)
+        self.clock.acknowledge(device, total_bytes)
+
+    def _map(self) -> None:
+        """The pipeline thread: take, step, offer."""
+        try:
+            while not self._stopping.is_set() or not self.queue.empty:
+                arrivals = self.queue.take(IDLE_S)
+                for arrival in arrivals:
+                    self.pipeline.step(arrival)
+                if arrivals:
+                    self._report()
+                self._offer()
+                if self._save_wanted.is_set():
+                    self._save_wanted.clear()
+                    self.save_map()
+            self.pipeline.finish()
+            self._offer(last=True)
+        except BaseException as error:
+            self.failure = error
+
+    def _report(self) -> None:
+        """Tell health what the pipeline has done."""
+        pipeline = self.pipeline
+        counts = pipeline.counts | {f"filter_{name}": count for name, count in pipeline.filter.counts.items()}
+        counts |= {f"late_{name}": count for name, count in pipeline.late.items()}
+        counts["scans_waiting"] = pipeline.waiting_scans
+        self.health.processed(time.monotonic_ns(), counts, pipeline.filter.guarantee)
+        for name, total in self.queue.dropped.items():
+            self.health.dropped(name, total)
+
+    def _offer(self, last: bool = False) -> None:
+        """Fill the publisher's mailbox if it is empty: changes coalesce by themselves, nothing queues, nobody waits."""
+        if last:
+            self.publisher.wait_until_ready(2.0)
+        if not self.publisher.ready:
+            return
+        now_ns = time.monotonic_ns()
+        tiles = self.pipeline.map.take_dirty()
+        if not (last or tiles or now_ns - self._offered_ns > OFFER_PERIOD_NS):
+            return
+        self._offered_ns = now_ns
+        self.publisher.offer(
+            MapUpdate(
+                tiles=tiles,
+                pose=self.pipeline.filter.latest(),
+                anchor=self.pipeline.filter.anchor,
+                health=self.health.snapshot(now_ns),
+                guarantee=self.pipeline.filter.guarantee,
+                released_ns=self.pipeline.released_ns,
+            )
+        )

@@ -1,0 +1,111 @@
+"""One thread a device: open the port, stamp and record what it gives, parse, queue; come back after an unplug.
+
+This is the only place where a protocol meets a port and a clock.
+"""
+
+import threading
+import time
+from collections.abc import Callable
+
+from drivers.capture import CaptureWriter
+from drivers.clock import Clock
+from drivers.errors import PortError
+from drivers.transports import Transport
+from service.devices import Device
+from service.health import Health
+from service.sample_queue import Arrival, SampleQueue
+
+LONGEST_READ_S = 0.05
+"""A read returns at least this often, so that deadlines and the wish to stop are seen."""
+FIRST_RETRY_S, LAST_RETRY_S = 0.05, 2.0
+"""Back-off between attempts to open a port that is away."""
+
+
+class Reader:
+    """Keeps one device's bytes flowing into the queue until told to stop."""
+
+    def __init__(
+        self,
+        device: Device,
+        clock: Clock,
+        queue: SampleQueue,
+        health: Health,
+        capture: CaptureWriter | None = None,
+        acknowledge: Callable[[str, int], None] | None = None,
+    ) -> None:
+        """`acknowledge(device, total bytes)` is called once bytes are parsed and queued; a lockstep waits for it."""
+        self.protocol = device.protocol()
+        self._device = device
+        self._clock = clock
+        self._queue = queue
+        self._health = health
+        self._capture = capture
+        health.watch(device.name, device.stale_after_s, self.protocol.counts)
+        self._acknowledge = acknowledge
+        self._total_bytes = 0
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"reader-{device.name}", daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End after the present read; returns when the port is closed."""
+        self._stopping.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        """Open, converse, and after a loss wait a little longer each time before trying again."""
+        pause_s = FIRST_RETRY_S
+        while not self._stopping.is_set():
+            try:
+                transport = self._device.open()
+            except PortError as error:
+                self._health.port_failed(self._device.name, str(error))
+                self._stopping.wait(pause_s)
+                pause_s = min(2 * pause_s, LAST_RETRY_S)
+                continue
+            pause_s = FIRST_RETRY_S
+            try:
+                self._converse(transport)
+            except PortError as error:
+                self._health.port_failed(self._device.name, str(error))
+            finally:
+                transport.close()
+
+    def _converse(self, transport: Transport) -> None:
+        """Carry bytes between one open port and the protocol."""
+        protocol, name = self.protocol, self._device.name
+        opened_ns = self._clock.now_ns()
+        protocol.connection_made(opened_ns)
+        if self._capture is not None:
+            self._capture.write(name, b"", opened_ns, time.time_ns())  # an empty chunk: the port was opened here
+        self._health.port_opened(name)
+        while not self._stopping.is_set():
+            if request := protocol.data_to_send():
+                transport.write(request)
+            if protocol.baud is not None:
+                transport.set_baud(protocol.baud)
+            data = transport.read(self._patience_s())
+            now_ns, received_ns = self._clock.now_ns(), time.monotonic_ns()
+            if protocol.deadline_ns is not None and protocol.deadline_ns <= now_ns:
+                protocol.advance(now_ns)
+            if not data:
+                continue
+            if self._capture is not None:
+                self._capture.write(name, data, now_ns, time.time_ns())
+            samples = protocol.receive_data(data, now_ns)
+            if samples:
+                self._queue.put([Arrival(name, sample, received_ns) for sample in samples])
+            self._total_bytes += len(data)
+            self._health.received(name, len(data), len(samples), received_ns)
+            if self._acknowledge is not None:
+                self._acknowledge(name, self._total_bytes)
+
+    def _patience_s(self) -> float:
+        """How long the next read may wait: until the protocol's deadline, and never too long."""
+        deadline_ns = self.protocol.deadline_ns
+        if deadline_ns is None:
+            return LONGEST_READ_S
+        return min(max((deadline_ns - self._clock.now_ns()) * 1e-9, 0.0), LONGEST_READ_S)

@@ -1,0 +1,65 @@
+"""Samples of several devices, put into the order in which they were acquired.
+
+Transport delays differ, so samples arrive out of order. They are held until the newest stamp seen is a window ahead,
+then handed on sorted by stamp. What comes later than that is refused: dropping a measurement is always sound. Ties are
+broken by device and arrival, so the order depends on the samples alone, not on which thread was quicker.
+"""
+
+import heapq
+from collections import Counter
+from collections.abc import Iterator
+
+import numpy as np
+
+from drivers.samples import Sample, Scan
+from service.sample_queue import Arrival
+
+
+def time_in_order(sample: Sample) -> int:
+    """The instant that a sample is sorted by: the middle of its stamp, for a scan that of its last shot."""
+    if isinstance(sample, Scan):
+        return sample.stamp.mid_ns + int(np.max(sample.beam_offset_ns, initial=0))
+    return sample.stamp.mid_ns
+
+
+class ReorderingWindow:
+    """Holds arrivals for `window_ns` of their own time and releases them in order."""
+
+    def __init__(self, window_ns: int, devices: tuple[str, ...], capacity: int = 4096) -> None:
+        self.late: Counter[str] = Counter()
+        """Samples that came after their place in the order was gone, by device."""
+        self._window_ns = window_ns
+        self._rank = {device: rank for rank, device in enumerate(devices)}
+        self._capacity = capacity
+        self._heap: list[tuple[int, int, int, Arrival]] = []
+        self._arrived: Counter[str] = Counter()
+        self._newest_ns: int | None = None
+        self._released: tuple[int, int] | None = None
+
+    def add(self, arrival: Arrival) -> None:
+        """Take one arrival into the window, or count it as late."""
+        when = time_in_order(arrival.sample)
+        rank = self._rank[arrival.device]
+        if self._released is not None and (when, rank) < self._released:
+            self.late[arrival.device] += 1
+            return
+        self._arrived[arrival.device] += 1
+        heapq.heappush(self._heap, (when, rank, self._arrived[arrival.device], arrival))
+        self._newest_ns = when if self._newest_ns is None else max(self._newest_ns, when)
+
+    def release(self) -> Iterator[Arrival]:
+        """Everything that is a window older than the newest, in order."""
+        while self._heap and self._newest_ns is not None:
+            if self._heap[0][0] > self._newest_ns - self._window_ns and len(self._heap) <= self._capacity:
+                return
+            yield self._pop()
+
+    def release_all(self) -> Iterator[Arrival]:
+        """The rest, in order: the stream has ended."""
+        while self._heap:
+            yield self._pop()
+
+    def _pop(self) -> Arrival:
+        when, rank, _, arrival = heapq.heappop(self._heap)
+        self._released = (when, rank)
+        return arrival

@@ -1,0 +1,36 @@
+"""A capture, replayed without ports: the recorded bytes through the same protocols into the same pipeline."""
+
+from collections.abc import Callable, Iterable
+
+from drivers.capture import RawChunk
+from estimator.bounded_pose import BoundedPose
+from service.config import LoadedConfig
+from service.devices import wiring
+from service.pipeline import Pipeline
+from service.sample_queue import Arrival
+
+
+def replay(
+    loaded: LoadedConfig, chunks: Iterable[RawChunk], on_pose: Callable[[BoundedPose], None] | None = None
+) -> Pipeline:
+    """Feed recorded chunks, in their order and with their stamps; the pipeline that comes back has finished.
+
+    An empty chunk says that the port was opened then (docs/capture-format.md).
+    """
+    protocols = {device.name: device.protocol() for device in wiring(loaded)}
+    pipeline = Pipeline(loaded.config, on_pose)
+    for chunk in chunks:
+        protocol = protocols.get(chunk.device)
+        if protocol is None:
+            pipeline.counts["chunks_of_unknown_devices"] += 1
+            continue
+        if not chunk.data:
+            protocol.connection_made(chunk.stamp_ns)
+            continue
+        if protocol.deadline_ns is not None and protocol.deadline_ns <= chunk.stamp_ns:
+            protocol.advance(chunk.stamp_ns)
+        for sample in protocol.receive_data(chunk.data, chunk.stamp_ns):
+            pipeline.step(Arrival(chunk.device, sample, chunk.stamp_ns))
+        protocol.data_to_send()  # questions to a device that isn't there
+    pipeline.finish()
+    return pipeline

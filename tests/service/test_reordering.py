@@ -1,0 +1,56 @@
+"""Samples are put into the order in which they were acquired."""
+
+import random
+
+from drivers.samples import Stamp, WheelTicks
+from service.reordering import ReorderingWindow
+from service.sample_queue import Arrival
+
+DEVICES = ("encoders", "imu")
+MS = 1_000_000
+
+
+def ticks(device: str, at_ms: int) -> Arrival:
+    return Arrival(device, WheelTicks(Stamp(at_ms * MS, at_ms * MS), at_ms, at_ms), at_ms * MS)
+
+
+def run(arrivals: list[Arrival], window_ms: int) -> tuple[list[Arrival], ReorderingWindow]:
+    window = ReorderingWindow(window_ms * MS, DEVICES)
+    out: list[Arrival] = []
+    for arrival in arrivals:
+        window.add(arrival)
+        out.extend(window.release())
+    out.extend(window.release_all())
+    return out, window
+
+
+def test_any_interleaving_inside_the_window_gives_the_same_order() -> None:
+    """Which thread was quicker does not show in the order."""
+    arrivals = [ticks(device, t) for t in range(0, 200, 5) for device in DEVICES]
+    expected, _ = run(arrivals, 50)
+    for seed in range(20):
+        jitter = random.Random(seed)
+        shuffled = sorted(arrivals, key=lambda a: a.received_ns + jitter.uniform(0, 40) * MS)
+        for device in DEVICES:  # one device's bytes never overtake each other
+            own = iter([a for a in arrivals if a.device == device])
+            shuffled = [next(own) if a.device == device else a for a in shuffled]
+        out, window = run(shuffled, 50)
+        assert out == expected
+        assert not window.late
+
+
+def test_a_sample_beyond_the_window_is_dropped_and_counted() -> None:
+    """What comes too late is refused and shows in the count of its device."""
+    out, window = run([ticks("imu", 0), ticks("imu", 100), ticks("imu", 200), ticks("encoders", 20)], 50)
+    assert [a.device for a in out] == ["imu", "imu", "imu"]
+    assert window.late == {"encoders": 1}
+
+
+def test_a_sample_waits_until_the_window_has_passed() -> None:
+    """Nothing is handed on while an older sample may still come."""
+    window = ReorderingWindow(50 * MS, DEVICES)
+    window.add(ticks("imu", 0))
+    window.add(ticks("imu", 49))
+    assert list(window.release()) == []
+    window.add(ticks("imu", 50))
+    assert [a.sample.stamp.mid_ns for a in window.release()] == [0]

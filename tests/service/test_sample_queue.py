@@ -1,0 +1,31 @@
+"""The queue between readers and pipeline is bounded and honest."""
+
+from drivers.samples import Stamp, WheelTicks
+from service.sample_queue import Arrival, SampleQueue
+
+
+def arrival(device: str, number: int) -> Arrival:
+    return Arrival(device, WheelTicks(Stamp(number, number), number, number), number)
+
+
+def test_a_full_queue_drops_the_oldest_and_counts_whose_they_were() -> None:
+    """Memory stays bounded and nothing vanishes uncounted."""
+    queue = SampleQueue(capacity=3)
+    queue.put([arrival("imu", 0), arrival("gps", 1)])
+    queue.put([arrival("imu", 2), arrival("imu", 3), arrival("imu", 4)])
+    assert [a.received_ns for a in queue.take(0)] == [2, 3, 4]
+    assert queue.dropped == {"imu": 1, "gps": 1}
+
+
+def test_taking_from_an_empty_queue_gives_nothing() -> None:
+    """The pipeline goes on with its other work."""
+    assert SampleQueue().take(0) == []
+
+
+def test_a_replay_can_wait_until_everything_was_taken() -> None:
+    """A replay may be told to wait for the pipeline."""
+    queue = SampleQueue()
+    queue.put([arrival("imu", 0)])
+    assert not queue.wait_until_taken(0)
+    queue.take(0)
+    assert queue.wait_until_taken(0)
