@@ -24,6 +24,7 @@ from drivers.sick_lms.telegrams import (
     RANGES,
     SOURCE,
     STX,
+    UNASKED,
     checksum,
     header_fits,
     status_fits,
@@ -59,7 +60,10 @@ class FrameReader:
         self._acknowledgement_due = False
         self._acknowledgement: int | None = None
         self.scan_headers: AbstractSet[tuple[int, int]] | None = None
-        """The only (LEN, count word) that a scan may have now; None while the scanner's settings are unknown."""
+        """The only (LEN, count word) that a scan may have now; None while the scanner's settings are unknown.
+
+        Where they are known the conversation is ours, and answers that nobody asked for are refused too.
+        """
         self.source: int | None = None
         """The only source bits that a status byte may have now; None while they are unknown."""
 
@@ -107,8 +111,11 @@ class FrameReader:
         self._searched = after_last
 
     def _header_fits(self, command: int, length: int, word: int) -> bool:
-        if command == RANGES and self.scan_headers is not None:
-            return (length, word) in self.scan_headers
+        if self.scan_headers is not None:
+            if command == RANGES:
+                return (length, word) in self.scan_headers
+            if command in UNASKED:
+                return False
         return header_fits(command, length, word)
 
     def _decide(self) -> tuple[list[Frame], int]:

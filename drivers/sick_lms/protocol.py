@@ -196,7 +196,9 @@ class SickLmsProtocol:
         self._deadline_ns = now_ns + self._watchdog_ns()
         telegram = RangeTelegram.parse(frame.payload)
         sweep = partial_sweep(telegram.quarter) if self._goal.interlaced else full_sweep(self._goal.variant)
-        return scan_of(telegram, sweep, self._format, frame.stamp_ns, self._latency_ns)
+        least, most = self._latency_ns
+        latency = least, most + self._line_ns(1)  # a byte is read when its last bit has come
+        return scan_of(telegram, sweep, self._format, frame.stamp_ns, latency)
 
     def _judge(self, payload: bytes) -> Outcome:
         """What the awaited answer means."""

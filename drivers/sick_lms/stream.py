@@ -26,6 +26,7 @@ from drivers.sick_lms.measurements import (
 )
 from drivers.sick_lms.telegrams import (
     RANGES,
+    UNASKED,
     VARIANTS,
     Command,
     Configuration,
@@ -70,7 +71,7 @@ class LmsStreamDecoder:
                 self._angle_deg = status.angle_deg
             case Command.VARIANT.answer:
                 self._angle_deg = Variant.parse(payload).angle_deg
-            case _ if frame.command in _UNSUPPORTED:
+            case _ if frame.command in UNASKED:
                 self.counts["unsupported_telegrams"] += 1
         return None
 
@@ -105,10 +106,6 @@ class LmsStreamDecoder:
         if variant is None or telegram.quarter or self._angle_deg == _FAST_ANGLE_DEG:
             return None
         return full_sweep(variant)
-
-
-_UNSUPPORTED = frozenset((0xB2, 0xB5, 0xB6, 0xB7, 0xBE, 0xBF, 0xC4, 0xF5, 0xFB, 0xFC))
-"""Telegrams with content that nobody here reads."""
 
 
 def _narrowest_width(codes: NDArray[np.uint16]) -> int:

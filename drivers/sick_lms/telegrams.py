@@ -104,12 +104,15 @@ _LENGTHS = {
     REFUSED: range(2, 3),
     Command.MODE.answer: range(3, 4),
     Command.STATUS.answer: range(132, 161),
-    Command.COUNTERS.answer: range(6, 7),
     Command.TYPE.answer: range(8, 65),
     Command.VARIANT.answer: range(7, 8),
     Command.READ_CONFIGURATION.answer: range(32, 37, 2),  # 30, 32 or 34 bytes of record
     Command.WRITE_CONFIGURATION.answer: range(33, 38, 2),
-    # Answers to requests that this driver never makes: recognised in recordings, and counted.
+}
+"""Payload lengths of each answer but B0h, whose length follows from its count word."""
+
+_UNASKED_LENGTHS = {
+    Command.COUNTERS.answer: range(6, 7),
     Command.ERRORS.answer: range(2, LONGEST_PAYLOAD + 1, 2),
     0xB6: range(7, LONGEST_PAYLOAD + 1),  # mean values
     0xB7: range(8, LONGEST_PAYLOAD + 1),  # sub-range
@@ -121,7 +124,9 @@ _LENGTHS = {
     0xFB: range(3, LONGEST_PAYLOAD + 1),  # configuration, part 2
     0xFC: range(3, LONGEST_PAYLOAD + 1),
 }
-"""Payload lengths of each answer but B0h, whose length follows from its count word."""
+"""Answers to requests that this driver never makes: recognised in recordings, and counted."""
+
+UNASKED = frozenset(_UNASKED_LENGTHS)
 
 _MOST_VALUES = 401
 
@@ -131,7 +136,7 @@ def header_fits(command: int, length: int, word: int) -> bool:
     if command == RANGES:
         values = word & 0x3FF
         return 1 <= values <= _MOST_VALUES and length - 2 * values in (4, 6)  # 6: with scan and telegram index
-    return length in _LENGTHS.get(command, ())
+    return length in _LENGTHS.get(command, ()) or length in _UNASKED_LENGTHS.get(command, ())
 
 
 def status_fits(status: int) -> bool:

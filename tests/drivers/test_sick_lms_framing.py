@@ -1,0 +1,194 @@
+"""Frames out of dirty streams."""
+
+from collections import Counter
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.sick_lms.framing import Frame, FrameReader
+from drivers.sick_lms.measurements import MM, RangeTelegram
+from drivers.sick_lms.telegrams import ACK, NAK, Configuration, DeviceStatus, DeviceType, Variant, answer
+
+RECORD = bytes.fromhex("0000 7000 00 00 01 0000 02 02") + bytes(21) + b"\x02\x00"
+DIRT = bytes((ACK, NAK, 0x02, 0x02, 0x80, 0x02, 0x80, 0xFF, 0x00, 0x11))
+
+
+def scan_payload(seed: int, count: int = 181) -> bytes:
+    """A range telegram with any codes, flags included."""
+    codes = np.random.default_rng(seed).integers(0, 0x10000, count).astype(np.uint16)
+    return RangeTelegram(codes, MM).serialise()
+
+
+PAYLOADS = {
+    "power on": DeviceType("LMS221;302063;V02.30 ").serialise(0x90),
+    "resetting": b"\x91\x10",
+    "refused": b"\x92\x10",
+    "mode": b"\xa0\x00\x10",
+    "scan": scan_payload(1),
+    "fine scan": scan_payload(2, 401),
+    "status": DeviceStatus("V02.30", "00410123", 0x25, 0, 180, 100, 500000, MM).serialise(),
+    "type": DeviceType("LMS221;302063;V02.30 ").serialise(0xBA, 0x11),
+    "variant": Variant(180, 100).serialise_answer(True),
+    "configuration": Configuration(RECORD).serialise_read(),
+    "old configuration": Configuration(RECORD[:30]).serialise_read(),
+    "written": Configuration(RECORD).serialise_written(True),
+    "errors": b"\xb2\x84\x16\x10",
+}
+
+
+def payloads(frames: Sequence[Frame]) -> list[bytes]:
+    """What the frames carry."""
+    return [frame.payload for frame in frames]
+
+
+def read(chunks: Sequence[bytes]) -> tuple[list[bytes], Counter[str]]:
+    """Payloads found in `chunks`, and what was counted."""
+    counts: Counter[str] = Counter()
+    reader = FrameReader(counts)
+    return [payload for chunk in chunks for payload in payloads(reader.receive_data(chunk, 0))], counts
+
+
+@pytest.mark.parametrize("payload", PAYLOADS.values(), ids=PAYLOADS.keys())
+@pytest.mark.parametrize("bytewise", [False, True])
+@pytest.mark.parametrize("before", [b"", DIRT])
+@pytest.mark.parametrize("behind", [b"", DIRT])
+def test_a_telegram_is_found_however_it_comes(payload: bytes, bytewise: bool, before: bytes, behind: bytes) -> None:
+    """Every telegram, whole or byte by byte, between clean or dirty neighbours, comes out once and unchanged."""
+    data = before + answer(payload) + behind
+    chunks = [data[i : i + 1] for i in range(len(data))] if bytewise else [data]
+
+    assert read(chunks)[0] == [payload]
+
+
+@given(seed=st.integers(0, 2**32 - 1), cuts=st.lists(st.integers(0, 3000), max_size=20))
+def test_random_garbage_between_frames_loses_none(seed: int, cuts: list[int]) -> None:
+    """All intact frames come out, in order, whatever lies between them and however the reads cut the stream."""
+    rng = np.random.default_rng(seed)
+    sent = [scan_payload(int(s), int(n)) for s, n in zip(rng.integers(0, 99, 4), rng.integers(1, 402, 4), strict=True)]
+    garbage = [
+        rng.choice([0x02, 0x80, 0xB0, 0x06, 0x00, 0x6E, 0x01], int(n)).astype(np.uint8).tobytes()
+        for n in (9, 50, 3, 40)
+    ]
+    data = b"".join(g + answer(p) for g, p in zip(garbage, sent, strict=True))
+    edges = [0, *sorted(min(c, len(data)) for c in cuts), len(data)]
+
+    found, _ = read([data[a:b] for a, b in pairwise(edges)])
+
+    assert found == sent
+
+
+@pytest.mark.parametrize("cut", [5, 8, 100, 371])
+def test_a_cut_frame_takes_no_other_with_it(cut: int) -> None:
+    """The tail of a cut frame is the next frame's head; that one comes out all the same."""
+    first, second = answer(scan_payload(1)), answer(scan_payload(2))
+
+    found, counts = read([first[:cut] + second])
+
+    assert found == [scan_payload(2)]
+    assert counts["skipped_bytes"] == cut
+
+
+def test_a_false_header_keeps_no_complete_frame_waiting() -> None:
+    """While a believable header still waits for its 802 bytes, a complete frame behind it comes out at once."""
+    false_header = answer(scan_payload(2, 401))[:9]
+    counts: Counter[str] = Counter()
+    reader = FrameReader(counts)
+
+    assert reader.receive_data(false_header, 0) == []
+    assert payloads(reader.receive_data(answer(b"\xa0\x00\x10"), 0)) == [b"\xa0\x00\x10"]
+
+
+def test_headers_inside_values_start_no_frames() -> None:
+    """A scan whose values spell headers is one frame."""
+    codes = np.full(181, 0x8002, np.uint16)
+    codes[1::2] = 0x0002
+    codes[90:94] = (0x8002, 0x016E, 0xB5B0, 0x4000)
+    payload = RangeTelegram(codes, MM).serialise()
+
+    for chunk in (1, 7, 400):
+        data = answer(payload) + answer(PAYLOADS["mode"])
+        found, counts = read([data[i : i + chunk] for i in range(0, len(data), chunk)])
+        assert found == [payload, PAYLOADS["mode"]]
+        assert counts["skipped_bytes"] == 0
+
+
+def test_each_frame_keeps_the_stamp_of_the_read_with_its_first_byte() -> None:
+    """Reads hold ends and beginnings of frames; the STX decides."""
+    reader = FrameReader(Counter())
+    first, second = answer(PAYLOADS["status"]), answer(PAYLOADS["mode"])
+
+    assert reader.receive_data(b"\x00\x02" + first[:1], 10) == []
+    assert reader.receive_data(first[1:50], 20) == []
+    frames = reader.receive_data(first[50:] + second[:3], 30)
+    frames += reader.receive_data(second[3:] + second, 40)
+
+    assert [frame.stamp_ns for frame in frames] == [10, 30, 40]
+
+
+def test_an_error_that_a_check_can_tell_is_never_accepted() -> None:
+    """Single wrong bits, and errors that the checksum cannot see but the header or the settings contradict."""
+    counts: Counter[str] = Counter()
+    good = answer(scan_payload(1))
+    for bit in range(8 * len(good)):
+        wrong = bytearray(good)
+        wrong[bit // 8] ^= 1 << bit % 8
+        reader = FrameReader(counts)
+        assert reader.receive_data(bytes(wrong), 0) == []
+    # Bit k of a byte with bit k + 1 of the next is invisible to the checksum.
+    for byte in (1, 2, 3, 4, 5):
+        for bit in range(7):
+            wrong = bytearray(good)
+            wrong[byte] ^= 1 << bit
+            wrong[byte + 1] ^= 2 << bit
+            reader = FrameReader(counts)
+            reader.scan_headers = frozenset({(366, 0x40B5)})
+            assert reader.receive_data(bytes(wrong), 0) == []
+
+
+def test_a_foreign_source_is_refused_once_ours_is_known() -> None:
+    """The status byte's source bits never change."""
+    counts: Counter[str] = Counter()
+    reader = FrameReader(counts)
+    reader.source = 0x10
+
+    assert reader.receive_data(answer(b"\xa0\x00\x18"), 0) == []
+    assert payloads(reader.receive_data(answer(b"\xa0\x00\xe1") + answer(b"\xa0\x00\x71"), 0)) == [b"\xa0\x00\x71"]
+    assert counts["bad_status"] == 2
+
+
+@pytest.mark.parametrize("byte", [ACK, NAK])
+def test_acknowledgements_are_believed_only_where_one_is_due(byte: int) -> None:
+    """The first byte outside a frame after a request is its ACK or NAK; any other 06 or 15 is dirt."""
+    counts: Counter[str] = Counter()
+    reader = FrameReader(counts)
+
+    reader.receive_data(bytes((byte,)), 0)
+    assert reader.take_acknowledgement() is None
+    reader.expect_acknowledgement()
+    reader.receive_data(answer(PAYLOADS["scan"]) + bytes((byte, byte)), 0)
+
+    assert reader.take_acknowledgement() == byte
+    assert reader.take_acknowledgement() is None
+    assert counts["skipped_bytes"] == 2
+
+
+def test_garbage_costs_bounded_memory_and_never_raises() -> None:
+    """100 kB of noise, and as much of the most believable noise, leave less than one frame in the buffer."""
+    rng = np.random.default_rng(3)
+    noise = rng.integers(0, 256, 100_000, dtype=np.uint8).tobytes()
+    headers = answer(scan_payload(1, 401))[:7] * 15_000
+    counts: Counter[str] = Counter()
+    reader = FrameReader(counts)
+
+    for data in (noise, headers):
+        for at in range(0, len(data), 997):
+            assert reader.receive_data(data[at : at + 997], at) == []
+            assert len(reader._buffer) < 814
+            assert len(reader._reads) < 814
+
+    assert payloads(reader.receive_data(answer(PAYLOADS["mode"]), 0)) == [PAYLOADS["mode"]]
+    assert counts["skipped_bytes"] == len(noise) + len(headers)

@@ -1,0 +1,382 @@
+"""Driver and emulated scanner, wired mouth to mouth in virtual time."""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from drivers.config import LaserConfig
+from drivers.samples import Scan
+from drivers.sick_lms.measurements import TURN_NS
+from drivers.sick_lms.protocol import SickLmsProtocol
+from drivers.sick_lms.startup import STEPS, TRANSITIONS, WAITS_MS, Outcome, State
+from drivers.sick_lms.telegrams import Command, Mode, Variant
+from simulator.emulators.sick_lms import FACTORY_RECORD, SickLmsEmulator
+
+MS = 1_000_000
+S = 1000 * MS
+CONFIG = LaserConfig(
+    port="/dev/laser",
+    latency_ms=(0.0, 6.0),
+    range_bound_m=0.066,
+    angle_bound_deg=0.5,
+    mount_x_m=0.0,
+    mount_y_m=0.0,
+    mount_z_m=0.468,
+    mount_pitch_deg=-10.0,
+    mount_position_bound_m=0.0,
+    mount_angle_bound_deg=0.0,
+)
+SERVING_RECORD = FACTORY_RECORD[:5] + bytes((0x06,)) + FACTORY_RECORD[6:]
+
+
+class World:
+    """Ranges that tell which measurement they belong to, and when each beam was really shot."""
+
+    def __init__(self) -> None:
+        self.shots_ns: list[NDArray[np.int64]] = []
+        self.ranges_m: list[NDArray[np.float64]] = []
+
+    def measure(self, shots_ns: NDArray[np.int64], angles_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+        """A wall that moves away by a centimetre every scan."""
+        ranges = 1.0 + 0.01 * len(self.shots_ns) + 0.1 * np.cos(angles_rad)
+        self.shots_ns.append(shots_ns.copy())
+        self.ranges_m.append(ranges)
+        return ranges
+
+    def index_of(self, scan: Scan) -> int:
+        """Which measurement this scan is."""
+        return round(float(scan.ranges_m[0] - 1.0 - 0.1 * np.cos(scan.angle_min_rad)) * 100)
+
+
+class Wire:
+    """A line between both, read every few milliseconds; bytes at different rates arrive as noise."""
+
+    def __init__(self, config: LaserConfig = CONFIG, start_ns: int = 10**15, **emulator: Any) -> None:
+        self.world = World()
+        self.emulator = SickLmsEmulator(self.world.measure, start_ns=start_ns, **emulator)
+        self.protocol = SickLmsProtocol(config)
+        self.now_ns = start_ns
+        self.scans: list[Scan] = []
+        self.states: list[str] = []
+        self.baud_at_sends: list[int] = []
+        self.requests: deque[bytes] = deque(maxlen=1000)
+        self.to_scanner: Callable[[bytes], bytes] = lambda data: data
+        self.to_host: Callable[[bytes], bytes] = lambda data: data
+        self._rng = np.random.default_rng(0)
+
+    def _at_rate(self, data: bytes) -> bytes:
+        return data if self.emulator.baud == self.protocol.baud else self._rng.bytes(len(data))
+
+    def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
+        """Let virtual time pass."""
+        end = self.now_ns + int(seconds * S)
+        while self.now_ns < end and not until():
+            self.now_ns += int(self._rng.integers(MS, 5_900_000))
+            if data := self.to_host(self._at_rate(self.emulator.data_to_send(self.now_ns))):
+                self.scans += self.protocol.receive_data(data, self.now_ns)
+            elif self.protocol.deadline_ns <= self.now_ns:
+                self.protocol.advance(self.now_ns)
+            if request := self.protocol.data_to_send():
+                self.requests.append(request)
+                self.emulator.receive_data(self._at_rate(self.to_scanner(request)), self.now_ns)
+            if not self.states or self.states[-1] != self.protocol.state:
+                self.states.append(self.protocol.state)
+
+    def start(self, seconds: float = 10.0) -> None:
+        """Run until scans flow."""
+        self.run(seconds, until=lambda: bool(self.scans))
+        assert self.scans, (self.protocol.state, self.protocol.counts)
+
+    def check_scans(self) -> None:
+        """Every scan is one that was really taken, with its values, and no later one is missing between them."""
+        indices = [self.world.index_of(scan) for scan in self.scans]
+        assert indices == list(range(indices[0], indices[0] + len(indices)))
+        for scan, i in zip(self.scans, indices, strict=True):
+            assert np.abs(scan.ranges_m - self.world.ranges_m[i]).max() <= 0.0005 + 1e-12
+            shots = self.world.shots_ns[i]
+            assert np.all(scan.stamp.earliest_ns + scan.beam_offset_ns <= shots)
+            assert np.all(shots <= scan.stamp.latest_ns + scan.beam_offset_ns)
+
+
+def test_a_scanner_that_powers_up_streams_true_scans_with_true_stamps() -> None:
+    """From power-on at 9600 baud to scans at 500000: right ranges, and every stamp contains its shots."""
+    wire = Wire()
+
+    wire.start()
+    wire.run(1.0)
+
+    assert wire.protocol.state == "streaming"
+    assert wire.protocol.baud == wire.emulator.baud == 500000
+    assert 74 <= len(wire.scans) <= 77
+    wire.check_scans()
+    assert wire.protocol.identity is not None
+    assert wire.protocol.identity.type == "LMS221;302063"
+    assert wire.protocol.identity.firmware == "V02.30"
+    assert wire.protocol.identity.serial == "00410123"
+
+
+@pytest.mark.parametrize(
+    ("angle", "resolution", "count", "hertz"),
+    [(180, 1.0, 181, 75), (180, 0.5, 361, 37.5), (100, 1.0, 101, 75), (100, 0.5, 201, 37.5), (100, 0.25, 401, 18.8)],
+)
+def test_every_variant_streams_at_its_rate(angle: Any, resolution: float, count: int, hertz: float) -> None:
+    """Count, rate, values and stamps are right for each angle and resolution."""
+    wire = Wire(replace(CONFIG, scan_angle_deg=angle, resolution_deg=resolution), record=SERVING_RECORD)
+
+    wire.start()
+    wire.scans.clear()
+    wire.run(1.0)
+
+    assert len(wire.scans) == pytest.approx(hertz, abs=1.5)
+    assert {len(scan.ranges_m) for scan in wire.scans} == {count}
+    wire.check_scans()
+
+
+def test_quarter_degrees_over_180_come_as_interlaced_turns() -> None:
+    """180 degrees at 0.25 degree: each mirror turn is a scan of its own, shifted by a quarter of a degree."""
+    wire = Wire(replace(CONFIG, resolution_deg=0.25), record=SERVING_RECORD)
+
+    wire.start()
+    wire.run(1.0)
+
+    assert len(wire.scans) == pytest.approx(75, abs=2)
+    first_cdeg = [round(np.degrees(scan.angle_min_rad) * 100) + 9000 for scan in wire.scans[:8]]
+    at = first_cdeg.index(0)
+    assert first_cdeg[at : at + 4] == [0, 25, 50, 75]
+    assert {len(scan.ranges_m) for scan in wire.scans} == {180, 181}
+    wire.check_scans()
+
+
+@pytest.mark.parametrize(
+    ("baud", "resolution", "period_turns"),
+    [(38400, 1.0, 8), (38400, 0.5, 16), (19200, 1.0, 15), (9600, 1.0, 30), (9600, 0.5, 58)],
+)
+def test_a_slow_line_skips_turns_as_the_manual_says(baud: Any, resolution: float, period_turns: int) -> None:
+    """The scan period on a slow line is the manual's multiple of the mirror turn, and stamps stay true."""
+    wire = Wire(replace(CONFIG, baud=baud, resolution_deg=resolution), record=SERVING_RECORD)
+
+    wire.start(15.0)
+    wire.run(4.0)
+
+    wire.check_scans()
+    begins = [int(wire.world.shots_ns[wire.world.index_of(scan)][0]) for scan in wire.scans]
+    assert set(np.diff(begins)) == {period_turns * TURN_NS}
+
+
+@pytest.mark.parametrize("baud", [9600, 19200, 38400, 500000])
+def test_a_scanner_left_streaming_is_found_and_set_up(baud: int) -> None:
+    """Whatever rate and variant a crashed driver left behind, scans come within five seconds."""
+    wire = Wire(record=SERVING_RECORD)
+    wire.emulator.leave_streaming(baud, variant=Variant(180, 50))
+    wire.run(0.1)
+
+    wire.start(5.0)
+    wire.run(0.5)
+
+    wire.check_scans()
+    assert {len(scan.ranges_m) for scan in wire.scans} == {181}
+
+
+def test_a_scanner_left_in_installation_mode_is_found() -> None:
+    """The stop request also ends an installation mode that somebody left."""
+    wire = Wire(record=SERVING_RECORD)
+    wire.emulator.leave_streaming(38400, mode=Mode.INSTALLATION)
+
+    wire.start(5.0)
+
+
+@pytest.mark.parametrize("skip", range(11))
+def test_a_missed_request_is_repeated(skip: int) -> None:
+    """Whichever of the start-up requests the scanner misses, scans come, and the EEPROM is written once."""
+    wire = Wire(record=FACTORY_RECORD)
+    wire.emulator.leave_streaming(38400)
+    heard = iter(range(100))
+
+    def lose(data: bytes) -> bytes:
+        if wire.emulator.baud == wire.protocol.baud and next(heard) == skip:
+            wire.emulator.misses = 1
+        return data
+
+    wire.to_scanner = lose
+    wire.start(10.0)
+
+    wire.check_scans()
+    assert wire.protocol.counts["repeats"] + wire.protocol.counts["restarts"] == 1
+    assert wire.emulator.eeprom_writes == 1
+
+
+def test_a_nak_is_answered_by_the_same_request_after_a_pause() -> None:
+    """A request damaged on the line is NAKed and sent again 30 ms later, not at the end of a timeout."""
+    wire = Wire(record=SERVING_RECORD)
+    damaged: list[int] = []
+
+    def damage(data: bytes) -> bytes:
+        if data[4] == Command.READ_CONFIGURATION and not damaged:
+            damaged.append(wire.now_ns)
+            return data[:-1] + bytes((data[-1] ^ 1,))
+        if data[4] == Command.READ_CONFIGURATION:
+            damaged.append(wire.now_ns)
+        return data
+
+    wire.to_scanner = damage
+    wire.start()
+
+    assert wire.protocol.counts["naks"] == 1
+    assert len(damaged) == 2
+    assert 30 * MS <= damaged[1] - damaged[0] <= 60 * MS
+
+
+def test_the_eeprom_is_written_only_on_a_difference() -> None:
+    """The first start writes unit and measuring mode once; the second finds them right and writes nothing."""
+    first = Wire(record=FACTORY_RECORD)
+    first.start()
+
+    second = Wire(record=first.emulator.configuration.record)
+    second.start()
+
+    assert first.emulator.eeprom_writes == 1
+    assert first.emulator.configuration.measuring_mode == 0x06
+    assert second.emulator.eeprom_writes == 0
+
+
+def test_a_measuring_mode_that_reaches_far_enough_is_left_alone() -> None:
+    """Reflector flags do not matter: a mode with the needed reach is decoded as it is."""
+    wire = Wire(replace(CONFIG, range_max_m=8.0), record=FACTORY_RECORD[:5] + b"\x01" + FACTORY_RECORD[6:])
+
+    wire.start()
+    wire.run(0.3)
+
+    wire.check_scans()
+    assert wire.emulator.eeprom_writes == 0
+
+
+def test_another_unit_halts_where_writing_is_forbidden() -> None:
+    """The declared range error holds for the declared unit alone: no scan in centimetres, no write, and a way out."""
+    record = SERVING_RECORD[:6] + b"\x00" + SERVING_RECORD[7:]
+    wire = Wire(replace(CONFIG, write_configuration=False), record=record)
+
+    wire.run(6.0)
+
+    assert wire.scans == []
+    assert wire.emulator.eeprom_writes == 0
+    assert "halted" in wire.protocol.state
+    assert "write_configuration = true" in wire.protocol.state
+
+
+def test_a_shorter_reach_does_not_halt_where_writing_is_forbidden() -> None:
+    """An 8 m measuring mode is used as it is, and counted."""
+    wire = Wire(replace(CONFIG, write_configuration=False), record=FACTORY_RECORD)
+
+    wire.start()
+    wire.run(0.3)
+
+    wire.check_scans()
+    assert wire.emulator.eeprom_writes == 0
+    assert wire.protocol.counts["short_reach"] == 1
+
+
+def test_a_spontaneous_reset_is_survived() -> None:
+    """The scanner loses power while streaming: found again at 9600 baud, and back at 500000 by itself."""
+    wire = Wire(record=SERVING_RECORD, boot_ns=3 * S)
+    wire.start()
+    wire.run(0.5)
+
+    before = len(wire.scans)
+    wire.emulator.switch_off_and_on(wire.now_ns)
+    wire.run(12.0)
+
+    assert wire.protocol.state == "streaming"
+    assert wire.protocol.counts["restarts"] >= 1
+    assert len(wire.scans) > before + 200
+    for scan in wire.scans:
+        shots = wire.world.shots_ns[wire.world.index_of(scan)]
+        assert np.all(scan.stamp.earliest_ns + scan.beam_offset_ns <= shots)
+        assert np.all(shots <= scan.stamp.latest_ns + scan.beam_offset_ns)
+
+
+def test_silence_while_streaming_is_noticed_and_survived() -> None:
+    """A cut cable is noticed within a second, and scans flow again once it is mended."""
+    wire = Wire(record=SERVING_RECORD)
+    wire.start()
+
+    wire.to_host = lambda data: b""
+    wire.run(1.0)
+    assert wire.protocol.counts["silences"] == 1
+    assert not wire.protocol.streaming
+    wire.to_host = lambda data: data
+    wire.scans.clear()
+    wire.start(5.0)
+
+    wire.check_scans()
+
+
+def test_nothing_but_noise_never_raises_and_never_scans() -> None:
+    """100 kB of random bytes from a broken line give no scan and no exception, and the search goes on."""
+    protocol = SickLmsProtocol(CONFIG)
+    rng = np.random.default_rng(5)
+    rates = set()
+
+    for k in range(2000):
+        assert protocol.receive_data(rng.bytes(50), k * 5 * MS) == []
+        protocol.data_to_send()
+        rates.add(protocol.baud)
+
+    assert rates == {9600, 19200, 38400, 500000}
+    assert protocol.counts["scans"] == 0
+
+
+def test_noise_in_the_stream_loses_no_intact_scan() -> None:
+    """Garbage between telegrams never costs a scan nor makes one."""
+    wire = Wire(record=SERVING_RECORD)
+    wire.start()
+    wire.scans.clear()
+    rng = np.random.default_rng(6)
+    begun = wire.emulator.scans_sent
+
+    def dirty(data: bytes) -> bytes:
+        parts = data.split(b"\x02\x80\x6e\x01\xb0")
+        return (rng.bytes(20) + b"\x02\x80\x6e\x01\xb0").join(parts)
+
+    wire.to_host = dirty
+    wire.run(2.0)
+
+    wire.check_scans()
+    assert wire.emulator.scans_sent - begun - len(wire.scans) <= 2  # the ones cut at either end
+    assert wire.protocol.counts["skipped_bytes"] > 1000
+
+
+def test_the_line_rate_changes_only_after_the_scanner_agreed() -> None:
+    """Found at 9600, the rate stays 9600 until the switch is answered; then nothing is sent for a while."""
+    wire = Wire(record=SERVING_RECORD)
+    wire.emulator.leave_streaming(9600, mode=Mode.STOP)
+    wire.run(10.0, until=lambda: wire.protocol.state == "switching the line rate")
+    assert wire.protocol.baud == 9600
+
+    wire.run(1.0, until=lambda: wire.protocol.baud == 500000)
+    switched = wire.now_ns
+    sent = len(wire.requests)
+    wire.run(2.0, until=lambda: len(wire.requests) > sent)
+
+    assert wire.protocol.baud == 500000
+    assert wire.now_ns - switched >= 250 * MS
+
+
+def test_the_table_leads_everywhere_and_never_asks_for_the_same_answer_twice_in_a_row() -> None:
+    """Every state is a step, a wait or the stream; all are reached; a late answer can't be taken for the next one."""
+    assert set(STEPS) | set(WAITS_MS) | {State.STREAMING} == set(State) == set(TRANSITIONS)
+    assert {state for edges in TRANSITIONS.values() for state in edges.values()} == set(State)
+    for state, edges in TRANSITIONS.items():
+        if state not in STEPS:
+            continue
+        assert {Outcome.DONE, Outcome.REFUSED, Outcome.SILENT} <= set(edges)
+        following = edges[Outcome.DONE]
+        while following in STEPS and Outcome.NEEDLESS in TRANSITIONS[following]:
+            assert STEPS[following].answer != STEPS[state].answer
+            following = TRANSITIONS[following][Outcome.NEEDLESS]
+        if following in STEPS:
+            assert STEPS[following].answer != STEPS[state].answer
