@@ -209,6 +209,8 @@ class Publisher:
         self._health: Mapping[str, Any] | None = None
         self._pose_due_s = self._health_due_s = self._digest_due_s = -inf
         self._sequence = 0
+        self._final = False
+        """Is everything that was offered, all of it, sent? From a flush until the next offer."""
         self._listed_root: int | None = None
         self._thread = threading.Thread(target=self._run, name="publisher", daemon=True)
 
@@ -322,7 +324,7 @@ class Publisher:
         with self._wake:
             if len(self._questions) >= MAX_QUERIES:
                 self.counts["questions_dropped"] += 1
-                query.drop()
+                query.drop()  # type: ignore[no-untyped-call]  # the stub lacks a return type
                 return
             self._questions.append(query)
             self._wake.notify_all()
@@ -360,6 +362,7 @@ class Publisher:
     def _take_update(self, update: MapUpdate) -> None:
         """An update has come: its tiles are next, the rest goes when it is due."""
         self._update = update
+        self._final = False
         self._tiles.extend(update.tiles)
         self._health = update.health
         if update.pose is not None:
@@ -382,33 +385,33 @@ class Publisher:
         if self._unsent_anchor and self._anchor is not None:
             self._unsent_anchor = False
             self._put(session, ANCHOR, self._anchor)
-        final = self._flush_wanted and self._update is None and self.ready
-        if final or now_s >= self._digest_due_s:
+        ending = self._flush_wanted and self._update is None and self.ready
+        self._final = self._final or ending
+        if ending or now_s >= self._digest_due_s:
             self._digest_due_s = now_s + self._config.digest_period_s
-            self._send_digest(session, final)
+            self._send_digest(session)
 
-    def _send_digest(self, session: zenoh.Session, final: bool) -> None:
+    def _send_digest(self, session: zenoh.Session) -> None:
         """Info, anchor and digest; the tiles are listed only when something changed since the last listing."""
         self._put(session, INFO, self._topic(INFO))
         if self._anchor is not None:
             self._put(session, ANCHOR, self._anchor)
-        for part in self._digest(final, summary_if_root=self._listed_root):
+        for part in self._digest(summary_if_root=self._listed_root):
             self._put(session, DIGEST, write(part))
             self._listed_root = part.root
-        if final:
-            with self._wake:
-                if self._slot is None:
-                    self._flush_wanted, self._flushed = False, True
-                    self._wake.notify_all()
+        with self._wake:
+            if self._flush_wanted and self._final and self._slot is None:
+                self._flush_wanted, self._flushed = False, True
+                self._wake.notify_all()
 
-    def _digest(self, final: bool, summary_if_root: int | None = None) -> Iterator[DigestPart]:
+    def _digest(self, summary_if_root: int | None = None) -> Iterator[DigestPart]:
         """The present digest; a summary alone where its root is this one."""
         self._sequence += 1
         entries = self._map.entries()
         root = digest_root(entries)
         if root == summary_if_root:
-            return iter([DigestPart(self.epoch, self._sequence, final, len(entries), root, 0, 0, [])])
-        return digest_parts(self.epoch, self._sequence, final, entries, root)
+            return iter([DigestPart(self.epoch, self._sequence, self._final, len(entries), root, 0, 0, [])])
+        return digest_parts(self.epoch, self._sequence, self._final, entries, root)
 
     def _send_tile(self, session: zenoh.Session, tile: Tile) -> None:
         """Send what changed of one tile since it was last sent."""
@@ -490,12 +493,12 @@ class Publisher:
             # Who asked is gone.
             self.counts["answers_failed"] += 1
         self._answers.popleft()
-        answer.query.drop()
+        answer.query.drop()  # type: ignore[no-untyped-call]  # the stub lacks a return type
 
     def _topic_answer(self, topic: Topic) -> list[bytes]:
         """What a get on a topic brings."""
         if topic is DIGEST:
-            return [write(part) for part in self._digest(final=False)]
+            return [write(part) for part in self._digest()]
         if topic is ANCHOR:
             return [] if self._anchor is None else [self._anchor]
         if topic is HEALTH and self._health is None:
