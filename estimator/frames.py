@@ -1,0 +1,52 @@
+"""Rotations of boxes: map_from_base = Rz(yaw) Ry(pitch) Rx(roll), x ahead, y left, z up, pitch > 0 nose down."""
+
+from typing import TypeAlias
+
+from drivers.compiled import compiled
+from estimator.interval import Interval, add, cosine, mag, meet, mul, neg, norm, sine, sub
+
+Box3: TypeAlias = tuple[Interval, Interval, Interval]
+"""Three intervals: of a vector, or of (roll, pitch, yaw)."""
+
+
+@compiled
+def forward_axis(attitude: Box3) -> Box3:
+    """First column of R, the robot's x axis in the map (SMF section 1): (cψ cθ, sψ cθ, -sθ)."""
+    ct = cosine(attitude[1])
+    return mul(cosine(attitude[2]), ct), mul(sine(attitude[2]), ct), neg(sine(attitude[1]))
+
+
+@compiled
+def left_axis(attitude: Box3) -> Box3:
+    """Second column of R: (cψ sθ sφ - sψ cφ, sψ sθ sφ + cψ cφ, cθ sφ)."""
+    sf, cf = sine(attitude[0]), cosine(attitude[0])
+    st, ct = sine(attitude[1]), cosine(attitude[1])
+    sp, cp = sine(attitude[2]), cosine(attitude[2])
+    stsf = mul(st, sf)
+    return sub(mul(cp, stsf), mul(sp, cf)), add(mul(sp, stsf), mul(cp, cf)), mul(ct, sf)
+
+
+@compiled
+def up_axis(attitude: Box3) -> Box3:
+    """Third column of R: (cψ sθ cφ + sψ sφ, sψ sθ cφ - cψ sφ, cθ cφ)."""
+    sf, cf = sine(attitude[0]), cosine(attitude[0])
+    st, ct = sine(attitude[1]), cosine(attitude[1])
+    sp, cp = sine(attitude[2]), cosine(attitude[2])
+    stcf = mul(st, cf)
+    return add(mul(cp, stcf), mul(sp, sf)), sub(mul(sp, stcf), mul(cp, sf)), mul(ct, cf)
+
+
+@compiled
+def turned(yaw: Interval, x: Interval, y: Interval) -> tuple[Interval, Interval]:
+    """Rz(yaw) (x, y), outer; never longer than the longest (x, y), so an unknown yaw gives a square."""
+    c = cosine(yaw)
+    s = sine(yaw)
+    most = norm(x, y)
+    disc = (-most, most)
+    return meet(sub(mul(c, x), mul(s, y)), disc), meet(add(mul(s, x), mul(c, y)), disc)
+
+
+@compiled
+def largest(axis: Box3, i: int) -> float:
+    """Largest |component i| of a unit vector inside a box."""
+    return min(1.0, mag(axis[i]))

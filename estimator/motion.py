@@ -1,0 +1,286 @@
+"""How far the robot can have moved during a step: verified enclosures of its kinematics (SMF sections 2 and 4).
+
+Both steps enclose an integral of f(t) u(t) dt, where f depends on the attitude and u is a rate whose integral is
+measured. With a constant c near the middle of [f], the hull of f over the step,
+
+    integral f u dt  in  c [integral u] + [-1, 1] max|f - c| integral |u|,
+
+whatever u does inside the step. So two numbers are needed of each rate: an interval for its integral, and an upper
+bound of its *variation*, the integral of its absolute value, which is larger where the rate may change its sign.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.compiled import compiled
+from estimator.frames import Box3, forward_axis, largest, left_axis, up_axis
+from estimator.interval import (
+    Interval,
+    add,
+    cosine,
+    divide,
+    down,
+    is_empty,
+    mag,
+    meet,
+    mid,
+    mig,
+    mul,
+    neg,
+    outward,
+    reach,
+    scale,
+    sine,
+    up,
+    widen,
+)
+
+STEEPEST = 1.4
+"""Beyond this pitch (80 degrees) Euler rates are not enclosed any more: the attitude counts as lost."""
+QUANTUM = 2.0**-40
+"""Variations are summed in whole numbers of this (rad), so that sums over hours are exact."""
+SECOND = 1e-9
+
+
+class GyroBounds(NamedTuple):
+    """Declared errors of the gyroscope, rad and s."""
+
+    noise: float
+    scale: float
+    most_rate: float
+    """|body rate| of the robot, any axis."""
+    most_acceleration: float
+    """|d(body rate)/dt|."""
+
+
+class TrackBounds(NamedTuple):
+    """Declared errors of the tracks, m, s and rad."""
+
+    slip: float
+    lateral: float
+    turning_centre: float
+    normal: float
+    quantum_left: float
+    """How far a difference of two left counts is off, in metres."""
+    quantum_right: float
+    most_speed: float
+    most_acceleration: float
+    most_track_acceleration: float
+    """Of one track's travel: most_acceleration and half the gauge's turn acceleration."""
+
+
+@compiled
+def variation(net: Interval, error: float, most_acceleration: float, time: float) -> float:
+    """Upper bound of the integral of |u| over `time`, where the integral of u is in [net] ± error, |du/dt| bounded.
+
+    SMF equation 5: a rate that vanishes inside the step has a net integral of at most a T^2 / 2; if it changes its
+    sign, variation - |net| is twice the smaller of the two areas, at most a T^2 / 4.
+    """
+    square = up(up(most_acceleration * time) * time)
+    total = up(mag(net) + error)
+    if down(mig(net) - error) <= 0.5 * square:
+        total = up(total + 0.25 * square)
+    return total
+
+
+@compiled
+def rotate(
+    rate: NDArray[np.float64],
+    bias: NDArray[np.float64],
+    time_low: float,
+    time_high: float,
+    gap: bool,
+    bounds: GyroBounds,
+    turned: NDArray[np.float64],
+    varied: NDArray[np.float64],
+) -> bool:
+    """Integrals of the body rates over a step of [time_low, time_high] seconds: intervals `turned` and `varied`.
+
+    rate [3] is the mean body rate of the packet (NaN: axis not measured), bias [3, 2], turned [3, 2], varied [3].
+    With `gap` the packet's mean covers only the last part of the step: the mean is taken on at some instant of the
+    step, from which the rate differs by at most most_acceleration * step. False if an axis turns faster than declared.
+    """
+    sound = True
+    most = up(bounds.most_rate * time_high)
+    for i in range(3):
+        net = (-most, most)
+        if rate[i] == rate[i]:
+            free = outward_sub(rate[i], bias[i, 0], bias[i, 1])
+            true = up(up(mag(free) + bounds.noise) / down(1.0 - bounds.scale))
+            error = up(bounds.noise + up(bounds.scale * max(abs(rate[i]), true)))
+            if gap:
+                error = up(error + up(bounds.most_acceleration * time_high))
+            measured = meet(mul(widen(free, error), (time_low, time_high)), net)
+            if is_empty(measured):
+                sound = False
+            else:
+                net = measured
+        turned[i, 0], turned[i, 1] = net
+        varied[i] = min(variation(net, 0.0, bounds.most_acceleration, time_high), most)
+    return sound
+
+
+@compiled
+def outward_sub(x: float, low: float, high: float) -> Interval:
+    """x - [low, high]."""
+    return down(x - high), up(x - low)
+
+
+@compiled
+def excursion(roll: Interval, pitch: Interval, varied: NDArray[np.float64], out: NDArray[np.float64]) -> bool:
+    """How far each Euler angle can move [3] while the body rates vary by `varied` [3]; False if that is not enclosed.
+
+    Starts (or, time running back, ends) anywhere in (roll, pitch). Picard: while the attitude is inside the box ± V
+    its angles vary by no more than F(V); once F(V) <= V it can't have left. Then F(V) is a bound.
+    """
+    guess = up(2.0 * up(varied[0] + up(varied[1] + varied[2])))
+    v0 = guess
+    v1 = guess
+    for _ in range(12):
+        theta = widen(pitch, v1)
+        if not mag(theta) < STEEPEST:
+            return False
+        sin_roll = mag(sine(widen(roll, v0)))
+        cos_pitch = down(cosine(theta)[0])
+        secant = up(1.0 / cos_pitch)
+        tangent = up(mag(sine(theta)) * secant)
+        sideways = up(up(sin_roll * varied[1]) + varied[2])
+        f0 = up(varied[0] + up(tangent * sideways))
+        f1 = up(varied[1] + up(sin_roll * varied[2]))
+        if f0 <= v0 and f1 <= v1:
+            out[0] = f0
+            out[1] = f1
+            out[2] = up(secant * sideways)
+            return True
+        v0 = max(v0, 1.5 * f0)
+        v1 = max(v1, 1.5 * f1)
+    return False
+
+
+@compiled
+def weighted(f: Interval, net: Interval, varied: float) -> Interval:
+    """Integral of f(t) u(t) dt, as in this file's heading."""
+    c = mid(f)
+    return widen(scale(c, net), up(reach(f, c) * varied))
+
+
+@compiled
+def turn(
+    attitude: NDArray[np.float64],
+    turned: NDArray[np.float64],
+    varied: NDArray[np.float64],
+    swing: NDArray[np.float64],
+) -> bool:
+    """One step of (roll, pitch, yaw), attitude [3, 2] in place (SMF equation 1); False if it can't be enclosed.
+
+    swing [3]: how far an angle can go beyond the hull of its two ends inside the step. A path of variation V and net
+    change D leaves the hull of its ends by at most (V - |D|) / 2.
+    """
+    roll = (attitude[0, 0], attitude[0, 1])
+    pitch = (attitude[1, 0], attitude[1, 1])
+    if not excursion(roll, pitch, varied, swing):
+        return False
+    phi = widen(roll, swing[0])
+    theta = widen(pitch, swing[1])
+    sf, cf = sine(phi), cosine(phi)
+    st, ct = sine(theta), cosine(theta)
+    wx = (turned[0, 0], turned[0, 1])
+    wy = (turned[1, 0], turned[1, 1])
+    wz = (turned[2, 0], turned[2, 1])
+    secant_y = divide(sf, ct)
+    secant_z = divide(cf, ct)
+    droll = add(wx, add(weighted(mul(st, secant_y), wy, varied[1]), weighted(mul(st, secant_z), wz, varied[2])))
+    dpitch = add(weighted(cf, wy, varied[1]), weighted(neg(sf), wz, varied[2]))
+    dyaw = add(weighted(secant_y, wy, varied[1]), weighted(secant_z, wz, varied[2]))
+    step = (droll, dpitch, dyaw)
+    for i in range(3):
+        attitude[i, 0], attitude[i, 1] = add((attitude[i, 0], attitude[i, 1]), step[i])
+        swing[i] = max(0.0, up(0.5 * (swing[i] - mig(step[i]))))
+    return True
+
+
+@compiled
+def attitude_box(attitude: NDArray[np.float64]) -> Box3:
+    """[3, 2] array as three intervals."""
+    return (
+        (attitude[0, 0], attitude[0, 1]),
+        (attitude[1, 0], attitude[1, 1]),
+        (attitude[2, 0], attitude[2, 1]),
+    )
+
+
+@compiled
+def travel(
+    attitude: NDArray[np.float64],
+    left: float,
+    right: float,
+    counted: bool,
+    time_high: float,
+    turning: float,
+    turning_telescoped: float,
+    bounds: TrackBounds,
+    axis: NDArray[np.float64],
+    first: bool,
+    core: NDArray[np.float64],
+    net: NDArray[np.float64],
+    swing: NDArray[np.float64],
+    pending: NDArray[np.float64],
+) -> bool:
+    """One step of (x, y, z) between two encoder readings (SMF section 4.3, with in-step attitude hulls).
+
+    attitude [3, 2] holds over the whole step; left, right are the tracks' travel in metres between the counts
+    (`counted` False: unknown, the counter restarted); the step lasts at most time_high seconds.
+
+    Two errors must not add up step by step, because they telescope: a difference of *any* two counts is off by at
+    most q = (quantum_left + quantum_right) / 2, and the turning between *any* two readings is known on the gyro's
+    clock. So `core` [3, 2] is a box for p minus what is still to come: p_n in core_k + steps k..n-1 + pending_n.
+    - With e_k the count's error at reading k and c_k the middle of the step's forward axis, sums by parts give
+      sum c_k (e_{k+1} - e_k) = c_{n-1} e_n - sum e_k (c_k - c_{k-1}): q |c_k - c_{k-1}| a step, q |c| pending.
+    - `turning_telescoped` is the variation of ω_z from the gyro node after reading k to the one after k+1, `turning`
+      the one that surely covers the step alone.
+
+    axis [3] is c_{k-1} and becomes c_k; `first`: this step starts from a count whose error is zero by definition.
+    net [3, 2] encloses the step's displacement alone; swing [3] as in `turn`; pending [3] becomes q |c_k|. False, and
+    nothing written, if the tracks ran faster than the robot can.
+    """
+    box = attitude_box(attitude)
+    ahead = forward_axis(box)
+    sideways = left_axis(box)
+    upward = up_axis(box)
+    q = up(0.5 * up(bounds.quantum_left + bounds.quantum_right))
+    most = up(bounds.most_speed * time_high)
+    travelled = (-most, most)
+    path = most
+    if counted:
+        slip = up(
+            variation((left, left), bounds.quantum_left, bounds.most_track_acceleration, time_high)
+            + variation((right, right), bounds.quantum_right, bounds.most_track_acceleration, time_high)
+        )
+        d = scale(0.5, add(outward(left, left), outward(right, right)))
+        travelled = meet(widen(d, up(up(0.5 * bounds.slip) * slip)), (-up(most + q), up(most + q)))
+        if is_empty(travelled):
+            return False
+        path = min(variation(travelled, q, bounds.most_acceleration, time_high), most)
+    q_now = q if counted else 0.0
+    for i in range(3):
+        c = mid(ahead[i])
+        bent = 0.0 if first else up(q * up(abs((c if counted else 0.0) - axis[i])))
+        side = largest(sideways, i)
+        rest = up(up(up(reach(ahead[i], c) * path) + up(side * up(bounds.lateral * path))))
+        rest = up(rest + up(largest(upward, i) * up(bounds.normal * path)))
+        main = scale(c, travelled)
+        telescoped = widen(main, up(rest + up(side * up(bounds.turning_centre * turning_telescoped))))
+        core[i, 0], core[i, 1] = widen(add((core[i, 0], core[i, 1]), telescoped), bent)
+        slide = up(side * up(bounds.turning_centre * turning))
+        alone = widen(main, up(up(rest + slide) + up(q_now * abs(c))))
+        varied = up(up(largest(ahead, i) * path) + up(slide + up(largest(upward, i) * up(bounds.normal * path))))
+        varied = up(varied + up(side * up(bounds.lateral * path)))
+        limit = (-varied, varied)
+        alone = meet(alone, limit)
+        net[i, 0], net[i, 1] = alone
+        swing[i] = max(0.0, up(0.5 * (varied - mig(alone))))
+        axis[i] = c
+        pending[i] = up(q_now * abs(c))
+    return True

@@ -1,0 +1,136 @@
+"""What a measurement says about the state: contractors (SMF section 6). Each returns False where nothing is left.
+
+A contractor removes only values that contradict the measurement's bounds; on False its caller drops the result.
+"""
+
+from math import pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.compiled import compiled
+from estimator.frames import Box3, left_axis, turned, up_axis
+from estimator.frames import forward_axis as ahead_axis
+from estimator.interval import (
+    TURN,
+    Interval,
+    add,
+    arcsine,
+    cosine,
+    direction,
+    divide,
+    is_empty,
+    meet,
+    mid,
+    neg,
+    reach,
+    scale,
+    sub,
+    widen,
+)
+
+GRAVITY: Interval = (9.76, 9.84)
+"""m/s^2: at sea level from the equator to the poles, and up to 5000 m."""
+
+
+@compiled
+def accelerometer_tilt(
+    ahead: float, left: float, error: float, pitch: Interval, gravity: Interval
+) -> tuple[Interval, Interval]:
+    """Roll and pitch from specific forces (SMF equation 17): f_x = -g sθ, f_y = g cθ sφ, each ± error; NaN: absent.
+
+    `pitch` is what is known of the pitch before. |roll| and |pitch| are taken to be at most 90 degrees.
+    """
+    quarter = (-0.5 * pi - 1e-15, 0.5 * pi + 1e-15)
+    theta = quarter
+    phi = quarter
+    if ahead == ahead:
+        theta = arcsine(neg(divide(widen((ahead, ahead), error), gravity)))
+    both = meet(theta, pitch)
+    if left == left and not is_empty(both):
+        ct = cosine(both)
+        if ct[0] > 1e-3:
+            phi = arcsine(divide(divide(widen((left, left), error), gravity), ct))
+    return phi, theta
+
+
+@compiled
+def lever(attitude: NDArray[np.float64], arm: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+    """R(attitude) arm, [3, 2] outer: where a point of the robot is from base_link, along the map's axes."""
+    box = (
+        (attitude[0, 0], attitude[0, 1]),
+        (attitude[1, 0], attitude[1, 1]),
+        (attitude[2, 0], attitude[2, 1]),
+    )
+    one: Box3 = ahead_axis(box)
+    two: Box3 = left_axis(box)
+    three: Box3 = up_axis(box)
+    for i in range(3):
+        out[i, 0], out[i, 1] = add(scale(arm[0], one[i]), add(scale(arm[1], two[i]), scale(arm[2], three[i])))
+
+
+@compiled
+def nearest_copy(angle: Interval, measured: Interval) -> Interval:
+    """[angle] intersected with [measured] + 2 pi n for the one n that can meet it; [angle] where two might.
+
+    [angle] at least a full turn wide is unknown: then the copy nearest its middle is taken, which names the turn.
+    """
+    centre = mid(angle)
+    width = reach(angle, centre)
+    copy = mid(measured)
+    spread = reach(measured, copy)
+    turns = round((centre - copy) / TURN)
+    shifted = add(measured, scale(turns, (6.283185307179586, 6.283185307179587)))
+    if width >= pi:
+        return shifted if spread < 3.0 else angle
+    if width + spread >= 3.14:
+        return angle
+    return meet(angle, shifted)
+
+
+@compiled
+def anchored(antenna: NDArray[np.float64], anchor: NDArray[np.float64], point: NDArray[np.float64]) -> bool:
+    """Contract anchor [4, 2] (east, north, up, yaw) and point [3, 2] (map) by antenna = t + Rz(Ψ) point (HC4).
+
+    antenna [3, 2] in ENU. Forward: W = antenna - t meets Rz(Ψ) u; backward: t, u, and Ψ = atan2(W) - atan2(u) where
+    both boxes leave out the origin. Repeated, since each narrows the others.
+    """
+    for _ in range(3):
+        psi = (anchor[3, 0], anchor[3, 1])
+        x = (point[0, 0], point[0, 1])
+        y = (point[1, 0], point[1, 1])
+        east = (anchor[0, 0], anchor[0, 1])
+        north = (anchor[1, 0], anchor[1, 1])
+        rx, ry = turned(psi, x, y)
+        wx = meet(sub((antenna[0, 0], antenna[0, 1]), east), rx)
+        wy = meet(sub((antenna[1, 0], antenna[1, 1]), north), ry)
+        if is_empty(wx) or is_empty(wy):
+            return False
+        east = meet(east, sub((antenna[0, 0], antenna[0, 1]), wx))
+        north = meet(north, sub((antenna[1, 0], antenna[1, 1]), wy))
+        bx, by = turned(neg(psi), wx, wy)
+        x = meet(x, bx)
+        y = meet(y, by)
+        if is_empty(x) or is_empty(y) or is_empty(east) or is_empty(north):
+            return False
+        seen = direction(wx, wy)
+        own = direction(x, y)
+        if not is_empty(seen) and not is_empty(own):
+            psi = nearest_copy(psi, sub(seen, own))
+            if is_empty(psi):
+                return False
+        point[0, 0], point[0, 1] = x
+        point[1, 0], point[1, 1] = y
+        anchor[0, 0], anchor[0, 1] = east
+        anchor[1, 0], anchor[1, 1] = north
+        anchor[3, 0], anchor[3, 1] = psi
+    height = (antenna[2, 0], antenna[2, 1])
+    z = (point[2, 0], point[2, 1])
+    t = (anchor[2, 0], anchor[2, 1])
+    z_new = meet(z, sub(height, t))
+    t_new = meet(t, sub(height, z))
+    if is_empty(z_new) or is_empty(t_new):
+        return False
+    point[2, 0], point[2, 1] = z_new
+    anchor[2, 0], anchor[2, 1] = t_new
+    return True

@@ -1,0 +1,178 @@
+"""The recent past as a tube: boxes at nodes whose true times are known as intervals, and all that lies between.
+
+A node is an instant (of a gyro packet, of an encoder reading) inside [earliest, latest], with a box for three
+coordinates then; `swing` says how far a coordinate can leave the hull of two neighbouring boxes between them. The
+true order of nodes is the order of their numbers, so their stamps are kept rising.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.compiled import compiled
+from estimator.interval import down, up
+
+
+class Tube:
+    """Nodes [begin, end) of growing arrays; the oldest are let go when they are older than the history."""
+
+    def __init__(self, history_ns: int, capacity: int = 4096) -> None:
+        self._history_ns = history_ns
+        self.times = np.zeros((capacity, 2), dtype=np.int64)
+        """[n, 2] earliest, latest."""
+        self.box = np.zeros((capacity, 3, 2))
+        self.swing = np.zeros((capacity, 3))
+        """[n, 3] of the step that ends at the node."""
+        self.net = np.zeros((capacity, 3, 2))
+        """[n, 3, 2] encloses the change over the step that ends at the node (positions only)."""
+        self.effort = np.zeros((capacity, 3), dtype=np.int64)
+        """[n, 3] variation of the body rates from the beginning to here, in QUANTUM (attitudes only)."""
+        self.begin = 1
+        self.end = 1
+
+    def __len__(self) -> int:
+        return self.end - self.begin
+
+    @property
+    def newest(self) -> int:
+        """Index of the newest node."""
+        return self.end - 1
+
+    def push(self, earliest_ns: int, latest_ns: int) -> int:
+        """Index of a new node at the end, stamped; its box and the rest are the caller's to fill.
+
+        A true time is not before its predecessor's, and the predecessor's not after it.
+        """
+        if self.end == len(self.times):
+            self._make_room(earliest_ns - self._history_ns)
+        i = self.end
+        if i > self.begin:
+            earliest_ns = max(earliest_ns, int(self.times[i - 1, 0]))
+            latest_ns = max(latest_ns, earliest_ns)
+        self.times[i] = earliest_ns, latest_ns
+        j = i - 1
+        while j >= self.begin and self.times[j, 1] > latest_ns:
+            self.times[j, 1] = latest_ns
+            j -= 1
+        self.end += 1
+        return i
+
+    def prepend(self, time_ns: int) -> int:
+        """Index of a new node before the first one, at one exact time."""
+        self.begin -= 1
+        self.times[self.begin] = time_ns
+        self.effort[self.begin] = 0
+        return self.begin
+
+    def _make_room(self, keep_from_ns: int) -> None:
+        """Move what is still needed to the front, or double the arrays where nearly all is."""
+        keep = int(np.searchsorted(self.times[self.begin : self.end, 1], keep_from_ns, side="right"))
+        first = min(self.begin + max(keep - 1, 0), self.end - 1)
+        size = self.end - first
+        capacity = len(self.times) * (2 if size > len(self.times) // 2 else 1)
+        for name in ("times", "box", "swing", "net", "effort"):
+            old = getattr(self, name)
+            new = np.zeros((capacity, *old.shape[1:]), dtype=old.dtype)
+            new[1 : size + 1] = old[first : self.end]
+            setattr(self, name, new)
+        self.begin, self.end = 1, size + 1
+
+    def before(self, time_ns: int) -> int:
+        """Index of the last node that is surely not after `time_ns`; begin - 1 if there is none."""
+        return last_not_after(self.times, self.begin, self.end, time_ns)
+
+    def after(self, time_ns: int) -> int:
+        """Index of the first node that is surely not before `time_ns`; end if there is none."""
+        return first_not_before(self.times, self.begin, self.end, time_ns)
+
+    def reaches(self, time_ns: int) -> bool:
+        """Is the newest node surely not before `time_ns`?"""
+        return self.end > self.begin and int(self.times[self.end - 1, 0]) >= time_ns
+
+    def hull(self, first: int, last: int) -> NDArray[np.float64]:
+        """[3, 2] all that the coordinates can be from node `first` to node `last`."""
+        out = np.empty((3, 2))
+        hull_between(self.box, self.swing, first, last, out)
+        return out
+
+
+@compiled
+def last_not_after(times: NDArray[np.int64], begin: int, end: int, time_ns: int) -> int:
+    """Largest i in [begin, end) with latest[i] <= time_ns, else begin - 1; latest never falls."""
+    low = begin
+    high = end
+    while low < high:
+        middle = (low + high) // 2
+        if times[middle, 1] <= time_ns:
+            low = middle + 1
+        else:
+            high = middle
+    return low - 1
+
+
+@compiled
+def first_not_before(times: NDArray[np.int64], begin: int, end: int, time_ns: int) -> int:
+    """Smallest i in [begin, end) with earliest[i] >= time_ns, else end; earliest never falls."""
+    low = begin
+    high = end
+    while low < high:
+        middle = (low + high) // 2
+        if times[middle, 0] >= time_ns:
+            high = middle
+        else:
+            low = middle + 1
+    return low
+
+
+@compiled
+def hull_between(
+    box: NDArray[np.float64], swing: NDArray[np.float64], first: int, last: int, out: NDArray[np.float64]
+) -> None:
+    """Hull of the nodes first..last and of the steps between them, with their swings."""
+    for c in range(3):
+        low = box[first, c, 0]
+        high = box[first, c, 1]
+        for i in range(first + 1, last + 1):
+            s = swing[i, c]
+            low = min(low, down(min(box[i - 1, c, 0], box[i, c, 0]) - s))
+            high = max(high, up(max(box[i - 1, c, 1], box[i, c, 1]) + s))
+        out[c, 0] = low
+        out[c, 1] = high
+
+
+@compiled
+def poses_between(
+    places: NDArray[np.int64],
+    place_box: NDArray[np.float64],
+    place_swing: NDArray[np.float64],
+    place_begin: int,
+    place_end: int,
+    turns: NDArray[np.int64],
+    turn_box: NDArray[np.float64],
+    turn_swing: NDArray[np.float64],
+    turn_begin: int,
+    turn_end: int,
+    earliest_ns: NDArray[np.int64],
+    latest_ns: NDArray[np.int64],
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
+) -> int:
+    """Pose boxes over m stretches of time; how many could not be given (their rows are NaN)."""
+    missing = 0
+    out = np.empty((3, 2))
+    for k in range(len(earliest_ns)):
+        i = last_not_after(places, place_begin, place_end, earliest_ns[k])
+        j = first_not_before(places, place_begin, place_end, latest_ns[k])
+        a = last_not_after(turns, turn_begin, turn_end, earliest_ns[k])
+        b = first_not_before(turns, turn_begin, turn_end, latest_ns[k])
+        if i < place_begin or j >= place_end or a < turn_begin or b >= turn_end or earliest_ns[k] > latest_ns[k]:
+            missing += 1
+            low[k, :] = np.nan
+            high[k, :] = np.nan
+            continue
+        hull_between(place_box, place_swing, i, j, out)
+        low[k, :3] = out[:, 0]
+        high[k, :3] = out[:, 1]
+        hull_between(turn_box, turn_swing, a, b, out)
+        low[k, 3:] = out[:, 0]
+        high[k, 3:] = out[:, 1]
+    return missing

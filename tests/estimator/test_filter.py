@@ -1,0 +1,356 @@
+"""The filter against a small kinematic truth of its own, whose errors stay at the corners of their bounds."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from math import nan, pi
+
+import numpy as np
+import pymap3d
+import pytest
+from numpy.typing import NDArray
+
+from drivers.compiled import compiled
+from drivers.config import EncodersConfig, GpsConfig, ImuConfig
+from drivers.samples import Fix, InertialSample, Stamp, WheelTicks
+from estimator.config import FilterConfig, RobotConfig
+from estimator.filter import Filter
+
+ROBOT = RobotConfig(
+    name="test",
+    track_length_m=0.65,
+    track_gauge_m=0.35,
+    max_speed_mps=1.2,
+    max_acceleration_mps2=1.0,
+    max_turn_rate_dps=90.0,
+    max_turn_acceleration_dps2=400.0,
+    slip_ratio=0.03,
+    lateral_slip_ratio=0.01,
+    turning_centre_m=0.04,
+    normal_slip_ratio=0.01,
+)
+CONFIG = FilterConfig()
+ENCODERS = EncodersConfig(
+    port="", dbc="", left="", right="", left_metres_per_tick=0.001, right_metres_per_tick=-0.001, latency_ms=(0.0, 6.0)
+)
+IMU = ImuConfig(
+    port="",
+    latency_ms=(0.5, 6.0),
+    clock_drift_ppm=100.0,
+    gyro_bias_bound_dps=0.3,
+    gyro_bias_drift_dps2=0.0005,
+    gyro_noise_bound_dps=0.05,
+    gyro_scale_bound=0.003,
+    tilt_bound_deg=0.5,
+    accel_bound_mps2=0.1,
+)
+GPS = GpsConfig(
+    port="",
+    latency_ms=(20.0, 60.0),
+    gst_factor=5.0,
+    range_error_m=5.0,
+    floor_horizontal_m=0.1,
+    floor_vertical_m=0.1,
+    antenna_x_m=-0.1,
+    antenna_y_m=0.05,
+    antenna_z_m=0.6,
+)
+MODES = ("corner", "constant", "uniform", "switching", "slow")
+SUBSTEP_NS = 500_000
+HOME = (47.4, 8.5, 450.0)
+
+
+@compiled
+def rates(state: NDArray[np.float64], w: NDArray[np.float64], v: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+    """d(x, y, z, roll, pitch, yaw)/dt for body rates w and body velocity v."""
+    sf, cf = np.sin(state[3]), np.cos(state[3])
+    st, ct = np.sin(state[4]), np.cos(state[4])
+    sp, cp = np.sin(state[5]), np.cos(state[5])
+    out[0] = cp * ct * v[0] + (cp * st * sf - sp * cf) * v[1] + (cp * st * cf + sp * sf) * v[2]
+    out[1] = sp * ct * v[0] + (sp * st * sf + cp * cf) * v[1] + (sp * st * cf - cp * sf) * v[2]
+    out[2] = -st * v[0] + ct * sf * v[1] + ct * cf * v[2]
+    out[3] = w[0] + st / ct * (w[1] * sf + w[2] * cf)
+    out[4] = w[1] * cf - w[2] * sf
+    out[5] = (w[1] * sf + w[2] * cf) / ct
+
+
+@compiled
+def integrate(
+    step: float,
+    wanted: NDArray[np.float64],
+    tilt: NDArray[np.float64],
+    slide: NDArray[np.float64],
+    limits: NDArray[np.float64],
+    pose: NDArray[np.float64],
+    turned: NDArray[np.float64],
+    tracked: NDArray[np.float64],
+) -> None:
+    """Poses [n+1, 6], integrals of the body rates [n+1, 3] and tracks' travel [n+1, 2] on the fine grid.
+
+    wanted [n, 4]: speed and body rates to slew to; tilt [n, 2]: roll and pitch to steer to besides; slide [n, 4] in
+    [-1, 1]: lateral, normal, left and right slip. Speeds and rates are linear in time inside a substep (RK4).
+    """
+    accel, spin, most_v, most_w, slip, lateral, centre, normal, half_gauge = limits
+    v = 0.0
+    w = np.zeros(3)
+    w2 = np.zeros(3)
+    k = np.zeros((4, 6))
+    wt = np.zeros(3)
+    vt = np.zeros(3)
+    for i in range(len(wanted)):
+        aim = min(max(wanted[i, 0], -most_v), most_v)
+        v2 = v + min(max(aim - v, -accel * step), accel * step)
+        for j in range(3):
+            aim = wanted[i, 1 + j]
+            if j < 2:
+                aim += 4.0 * (tilt[i, j] - pose[i, 3 + j])
+            aim = min(max(aim, -most_w), most_w)
+            w2[j] = w[j] + min(max(aim - w[j], -spin * step), spin * step)
+        for stage in range(4):
+            s = (0.0, 0.5, 0.5, 1.0)[stage]
+            for j in range(3):
+                wt[j] = w[j] + s * (w2[j] - w[j])
+            vt[0] = v + s * (v2 - v)
+            vt[1] = slide[i, 0] * (lateral * abs(vt[0]) + centre * abs(wt[2]))
+            vt[2] = slide[i, 1] * normal * abs(vt[0])
+            rates(pose[i] if stage == 0 else pose[i] + s * step * k[stage - 1], wt, vt, k[stage])
+        pose[i + 1] = pose[i] + step / 6.0 * (k[0] + 2.0 * k[1] + 2.0 * k[2] + k[3])
+        turned[i + 1] = turned[i] + 0.5 * step * (w + w2)
+        for side in range(2):
+            sign = 2.0 * side - 1.0
+            ground = 0.5 * step * (v + v2 + sign * half_gauge * (w[2] + w2[2]))
+            tracked[i + 1, side] = tracked[i, side] + ground / (1.0 + slip * slide[i, 2 + side])
+        v = v2
+        w[:] = w2
+
+
+@dataclass
+class World:
+    """One drive: the truth on a fine grid and the samples that its sensors give."""
+
+    seed: int
+    mode: str = "corner"
+    seconds: float = 12.0
+    stand_s: float = 1.6
+    script: str = "wander"
+    steep_deg: float = 6.0
+    gps: bool = True
+    gyro_axes: tuple[bool, bool, bool] = (True, True, True)
+    tilt: bool = True
+    accelerometers: bool = True
+    loss: float = 0.0
+    exceed: dict[str, float] = field(default_factory=dict)
+    """How many times larger than declared an error is: gyro, slip, tilt, gps, latency."""
+
+    def __post_init__(self) -> None:
+        self.random = np.random.default_rng(self.seed)
+        self.n = int(self.seconds * 1e9) // SUBSTEP_NS
+        self.time_ns = 10_000_000_000 + np.arange(self.n + 1, dtype=np.int64) * SUBSTEP_NS
+        self._drive()
+        samples: list[WheelTicks | InertialSample | Fix] = [*self._encoders(), *self._inertial()]
+        if self.gps:
+            samples += self._fixes()
+        self.samples = sorted(samples, key=lambda sample: sample.stamp.mid_ns)
+
+    def error(self, n: int, *, hold: float = 0.0) -> NDArray[np.float64]:
+        """n errors in [-1, 1] in the drive's mode; `hold`: mean number of samples without a change."""
+        mode = self.mode if self.mode != "mixed" else MODES[self.random.integers(len(MODES))]
+        if mode == "constant":
+            return np.full(n, self.random.choice([-1.0, 1.0]))
+        if mode == "uniform":
+            return self.random.uniform(-1.0, 1.0, n)
+        if mode == "switching" and not hold:
+            return np.where(np.arange(n) % 2, 1.0, -1.0)
+        if mode == "slow" or hold:
+            flips = self.random.random(n) < 1.0 / (hold or 200.0)
+            return np.where((np.cumsum(flips) + self.random.integers(2)) % 2, 1.0, -1.0)
+        return self.random.choice([-1.0, 1.0], n)
+
+    def _drive(self) -> None:
+        n, t = self.n, np.arange(self.n) * SUBSTEP_NS * 1e-9
+        piece = (t / 1.3).astype(int)
+        pieces = piece.max() + 1
+        most_w = np.radians(ROBOT.max_turn_rate_dps)
+        speed = self.random.choice([-0.6, 0.0, 0.5, 1.0, ROBOT.max_speed_mps], pieces)[piece]
+        spin = self.random.uniform(-0.5, 0.5, pieces)[piece] * most_w
+        tilt = np.radians(self.steep_deg) * self.random.uniform(-1.0, 1.0, (pieces, 2))[piece]
+        flip = self.random.choice([-1.0, 1.0], n)
+        if self.script == "spin":
+            speed, spin = 0.0 * speed, self.random.choice([-1.0, 1.0], pieces)[piece] * most_w
+        elif self.script == "shake":  # the rates turn round every few milliseconds, at the limits
+            speed = np.where((t / 0.05).astype(int) % 2, 1.0, -1.0) * ROBOT.max_speed_mps
+            spin = np.where((t / 0.008).astype(int) % 2, 1.0, -1.0) * most_w
+        elif self.script == "straight":
+            speed, spin = np.full(n, 0.7), np.zeros(n)
+        elif self.script == "stand":
+            speed, spin, tilt, flip = 0.0 * speed, 0.0 * spin, 0.0 * tilt, 0.0 * flip
+        wanted = np.stack([speed, 0.3 * flip, -0.3 * flip, spin], axis=1)
+        moving = t >= self.stand_s
+        wanted[~moving] = 0.0
+        start = np.radians(self.steep_deg) * self.random.uniform(-1.0, 1.0, 2)
+        tilt[~moving] = start
+        if self.script == "stand":
+            tilt[:] = start
+        slide = np.stack([self.error(n, hold=400.0) if k < 2 else self.error(n, hold=900.0) for k in range(4)], axis=1)
+        slide[:, 2:] *= self.exceed.get("slip", 1.0)
+        limits = np.array(
+            [
+                ROBOT.max_acceleration_mps2,
+                np.radians(ROBOT.max_turn_acceleration_dps2),
+                ROBOT.max_speed_mps,
+                most_w,
+                ROBOT.slip_ratio,
+                ROBOT.lateral_slip_ratio,
+                ROBOT.turning_centre_m,
+                ROBOT.normal_slip_ratio,
+                0.5 * ROBOT.track_gauge_m,
+            ]
+        )
+        self.pose = np.zeros((n + 1, 6))
+        self.pose[0, 3:5] = start
+        self.turned = np.zeros((n + 1, 3))
+        self.tracked = np.zeros((n + 1, 2))
+        integrate(SUBSTEP_NS * 1e-9, wanted, tilt, slide, limits, self.pose, self.turned, self.tracked)
+
+    def _stamps(self, index: NDArray[np.int64], latency_ms: tuple[float, float]) -> Iterator[Stamp]:
+        least, most = (int(x * 1e6) for x in latency_ms)
+        late = 0.5 * (1.0 + self.error(len(index)) * self.exceed.get("latency", 1.0))
+        read = self.time_ns[index] + (least + late * (most - least)).astype(np.int64)
+        return (Stamp(int(r) - most, int(r) - least) for r in np.maximum.accumulate(read))
+
+    def _encoders(self) -> list[WheelTicks]:
+        index = np.arange(0, self.n + 1, 20)
+        phase = self.random.random(2)
+        counts = np.floor(self.tracked[index] / 0.001 + phase).astype(int)
+        self.start = self.pose[0].copy()
+        return [
+            WheelTicks(stamp, int(left), -int(right))
+            for stamp, (left, right) in zip(self._stamps(index, ENCODERS.latency_ms), counts, strict=True)
+            if stamp.earliest_ns < 10_000_000_000 or self.random.random() >= self.loss
+        ]
+
+    def _device_us(self, index: NDArray[np.int64], resolution: int) -> NDArray[np.int64]:
+        rate = 1.0 + self.clock * IMU.clock_drift_ppm * 1e-6
+        us = (self.time_ns[index] * 1e-3 * rate).astype(np.int64) - 3_000_000
+        return us // resolution * resolution
+
+    def _inertial(self) -> Iterator[InertialSample]:
+        self.clock = float(self.error(1)[0])
+        exceed = self.exceed.get("gyro", 1.0)
+        index = np.arange(3, self.n + 1, 10)
+        seconds = np.diff(self.time_ns[index], prepend=self.time_ns[index[0]] - 10 * SUBSTEP_NS) * 1e-9
+        mean = np.diff(self.turned[index], axis=0, prepend=self.turned[index[:1]]) / seconds[:, None]
+        m = len(index)
+        for axis in range(3):
+            drift = np.cumsum(self.error(m, hold=500.0) * IMU.gyro_bias_drift_dps2 * 0.005)
+            bias = np.clip(self.random.uniform(-1, 1) * IMU.gyro_bias_bound_dps + drift, -0.3, 0.3)
+            noise = self.error(m) * IMU.gyro_noise_bound_dps
+            mean[:, axis] += np.radians(bias + noise) * exceed + self.error(m) * IMU.gyro_scale_bound * mean[:, axis]
+            if not self.gyro_axes[axis]:
+                mean[:, axis] = nan
+        device = self._device_us(index, 1)
+        for k, stamp in enumerate(self._stamps(index, IMU.latency_ms)):
+            if self.random.random() >= self.loss:
+                x, y, z = (float(r) for r in mean[k])
+                yield InertialSample(stamp, "HIGHRES_IMU", 0, int(device[k]), gyro_rps=(x, y, z))
+        index = np.arange(3, self.n + 1, 20)
+        true = self.pose[index, 3:5]
+        if self.tilt:
+            bound = np.radians(IMU.tilt_bound_deg) * self.exceed.get("tilt", 1.0)
+            device = self._device_us(index, 1000)
+            roll, pitch = (true[:, k] + self.error(len(index)) * bound for k in range(2))
+            for k, stamp in enumerate(self._stamps(index, IMU.latency_ms)):
+                if self.random.random() >= self.loss:
+                    yield InertialSample(
+                        stamp, "ATTITUDE", 0, int(device[k]), tilt_rad=(float(roll[k]), float(pitch[k]))
+                    )
+        if self.accelerometers:
+            bound = IMU.accel_bound_mps2 + ROBOT.max_acceleration_mps2
+            device = self._device_us(index, 1)
+            ahead = -9.81 * np.sin(true[:, 1]) + self.error(len(index)) * bound
+            left = 9.81 * np.cos(true[:, 1]) * np.sin(true[:, 0]) + self.error(len(index)) * bound
+            for k, stamp in enumerate(self._stamps(index, IMU.latency_ms)):
+                accel = (float(ahead[k]), float(left[k]), nan)
+                yield InertialSample(stamp, "HIGHRES_IMU", 1 + k % 2, int(device[k]), accel_mps2=accel)
+
+    def _fixes(self) -> Iterator[Fix]:
+        index = np.arange(37, self.n + 1, 200)
+        self.place = np.append(self.random.uniform(-30, 30, 3), self.random.uniform(-pi, pi))
+        bound = (0.05, 0.05, 0.1)
+        error = np.stack([self.error(len(index)) * b for b in bound], axis=1) * self.exceed.get("gps", 1.0)
+        arm = np.array([GPS.antenna_x_m, GPS.antenna_y_m, GPS.antenna_z_m])
+        for k, stamp in enumerate(self._stamps(index, GPS.latency_ms)):
+            pose = self.pose[index[k]]
+            point = pose[:3] + rotation(pose[3], pose[4], pose[5]) @ arm
+            enu = self.place[:3] + rotation(0.0, 0.0, self.place[3]) @ point + error[k]
+            lat, lon, alt = (float(x) for x in pymap3d.enu2geodetic(*enu, *HOME))
+            yield Fix(stamp, None, lat, lon, alt, 4, 0.8, bound)
+
+
+def rotation(roll: float, pitch: float, yaw: float) -> NDArray[np.float64]:
+    """Rz(yaw) Ry(pitch) Rx(roll)."""
+    (sf, st, sp), (cf, ct, cp) = np.sin([roll, pitch, yaw]), np.cos([roll, pitch, yaw])
+    rz = np.array([[cp, -sp, 0], [sp, cp, 0], [0, 0, 1]])
+    ry = np.array([[ct, 0, st], [0, 1, 0], [-st, 0, ct]])
+    rx = np.array([[1, 0, 0], [0, cf, -sf], [0, sf, cf]])
+    return np.asarray(rz @ ry @ rx)
+
+
+@dataclass
+class Outcome:
+    """What came of a drive."""
+
+    filter: Filter
+    checked: int
+    violations: int
+    width: NDArray[np.float64]
+    """[6] half-widths at the end."""
+
+
+def follow(
+    world: World,
+    robot: RobotConfig = ROBOT,
+    config: FilterConfig = CONFIG,
+    encoders: EncodersConfig = ENCODERS,
+    imu: ImuConfig = IMU,
+) -> Outcome:
+    """Feed a drive to the filter; ask for its poses, as soon as they are to be had, at every instant of the truth."""
+    pose = Filter(robot, config, encoders, imu, GPS if world.gps else None)
+    checked = violations = 0
+    next_index = 1
+    width = np.full(6, np.inf)
+    for count, sample in enumerate(world.samples):
+        pose.accept(sample)
+        if count % 40 or pose.horizon_ns is None or pose.oldest_ns is None:
+            continue
+        if next_index == 1:
+            next_index = int(np.searchsorted(world.time_ns, pose.oldest_ns))
+        last = int(np.searchsorted(world.time_ns, pose.horizon_ns, side="right"))
+        if last <= next_index:
+            continue
+        times = world.time_ns[next_index:last]
+        low, high = np.empty((len(times), 6)), np.empty((len(times), 6))
+        assert pose.poses_over(times, times, low, high)
+        assert np.isfinite(low).all()
+        assert np.isfinite(high).all()
+        true = world.pose[next_index:last]
+        inside = (low - 1e-10 <= true) & (true <= high + 1e-10)
+        checked += inside.size
+        violations += int((~inside).sum())
+        next_index = last
+        width = 0.5 * (high[-1] - low[-1])
+    return Outcome(pose, checked, violations, width)
+
+
+@pytest.mark.parametrize("script", ["wander", "spin", "shake", "straight"])
+@pytest.mark.parametrize("mode", MODES)
+def test_the_true_pose_is_always_inside(script: str, mode: str) -> None:
+    """With every error inside its bound no coordinate leaves its interval, at no instant, and no fault is seen."""
+    outcome = follow(World(hash_seed(script, mode), mode=mode, script=script, seconds=6.0))
+    assert outcome.checked > 40_000
+    assert outcome.violations == 0
+    assert outcome.filter.guarantee.intact
+
+
+def hash_seed(*words: str) -> int:
+    """A seed that is the same in every run."""
+    return sum(ord(letter) * (7 + i) for i, letter in enumerate("".join(words)))
