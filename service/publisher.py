@@ -276,8 +276,6 @@ class Publisher:
             try:
                 config = self._config
                 with open_session("peer", config.listen, config.connect, config.multicast) as session:
-                    self.failure = None
-                    self._started.set()
                     pause_s = FIRST_RETRY_S
                     self._serve(session)
             except LinkError as error:
@@ -307,6 +305,8 @@ class Publisher:
             session.declare_queryable(f"{robot_key(self._robot)}/**", self._ask),
             session.liveliness().declare_token(robot_key(self._robot)),
         ):
+            self.failure = None
+            self._started.set()
             while self._wait_for_work():
                 now_s = time.monotonic()
                 self._send_periodic(session, now_s)
