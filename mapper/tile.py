@@ -119,7 +119,8 @@ def _snapped(layer: Layer, rounding: np.ufunc) -> Layer:
 def _canonical(layer: Layer) -> Layer:
     if layer.shape != (TILE_SIDE, TILE_SIDE) or layer.dtype != np.float32:
         raise ValueError(f"a layer is float32 [{TILE_SIDE}, {TILE_SIDE}], not {layer.dtype} {list(layer.shape)}")
-    canonical: Layer = np.where(np.isnan(layer), _NAN, layer + np.float32(0.0))  # -0 + 0 is +0
+    with np.errstate(invalid="ignore"):  # a signalling NaN
+        canonical: Layer = np.where(np.isnan(layer), _NAN, layer + np.float32(0.0))  # -0 + 0 is +0
     canonical.flags.writeable = False
     return canonical
 

@@ -21,8 +21,8 @@ _LEVEL = 1
 _LARGEST_PAYLOAD = 48 * 1024
 """A tile of pure noise takes 33 KiB; links cut larger messages up and lose them."""
 _LARGEST_MESSAGE = 40 * 1024
-_WINDOW_LOG = 17
-"""128 KiB: more than a tile's message, so that no payload can ask for more memory."""
+_WINDOW_LOG = 20
+"""No payload can ask for more than 1 MiB of memory; level 1 asks for 512 KiB at most."""
 _CELL_BYTES = 8
 _FIELDS = (("elevation_min", 0), ("elevation_max", 4))
 _NS = 1_000_000_000
