@@ -87,7 +87,7 @@ class SickLmsProtocol:
         self._rates = tuple(dict.fromkeys((config.baud, *RATES)))
         self._baud: int = config.baud
         self._reader = FrameReader(self.counts)
-        self._found = Found()
+        self._found = Found(config.baud)
         self._format = ValueFormat(DISTANCE_BITS[0], self._goal.unit)
         self._outbox = bytearray()
         self._trouble = ""
@@ -268,7 +268,7 @@ class SickLmsProtocol:
         if state is State.FINDING:
             if lost:
                 self.counts["restarts"] += 1
-            self._found = Found()
+            self._found = Found(self._baud)
             self._reader.scan_headers = None
             self._reader.source = None
         if state is State.STARTING:

@@ -98,8 +98,10 @@ class Goal:
 
 @dataclass(slots=True)
 class Found:
-    """What the scanner told of itself, since FINDING."""
+    """What is known of the scanner, since FINDING."""
 
+    baud: int
+    """Rate at which it was found."""
     status: DeviceStatus | None = None
     configuration: Configuration | None = None
 
@@ -138,7 +140,7 @@ def _variant_stands(goal: Goal, found: Found) -> bool:
 
 
 def _rate_stands(goal: Goal, found: Found) -> bool:
-    return found.status is not None and found.status.baud == goal.baud
+    return found.baud == goal.baud
 
 
 STEPS = {
@@ -181,15 +183,15 @@ TRANSITIONS = {
         Outcome.REFUSED: State.IDENTIFYING,
         Outcome.SILENT: State.TUNING,  # at the next rate
     },
-    State.IDENTIFYING: {
+    State.IDENTIFYING: {  # who it is, and how it is, is good to know, but no scan needs it
         Outcome.DONE: State.READING_STATUS,
         Outcome.REFUSED: State.READING_STATUS,
-        Outcome.SILENT: State.FINDING,
+        Outcome.SILENT: State.READING_STATUS,
     },
     State.READING_STATUS: {
         Outcome.DONE: State.READING_CONFIGURATION,
-        Outcome.REFUSED: State.HALTED,
-        Outcome.SILENT: State.FINDING,
+        Outcome.REFUSED: State.READING_CONFIGURATION,
+        Outcome.SILENT: State.READING_CONFIGURATION,
     },
     State.READING_CONFIGURATION: {
         Outcome.DONE: State.SETTING_VARIANT,
@@ -227,7 +229,7 @@ TRANSITIONS = {
     State.SETTLING: {Outcome.ELAPSED: State.CONFIRMING},
     State.CONFIRMING: {
         Outcome.DONE: State.STARTING,
-        Outcome.REFUSED: State.HALTED,
+        Outcome.REFUSED: State.STARTING,  # a refusal, too, came at the new rate
         Outcome.SILENT: State.FINDING,
     },
     State.STARTING: {

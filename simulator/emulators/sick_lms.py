@@ -225,6 +225,7 @@ class SickLmsEmulator:
         self._send(answer(self._type.serialise(POWER_ON, self.status)))
 
     def _change_rate(self) -> None:
+        self._interrupt()
         self._baud = self._next_baud
 
     # Requests
@@ -274,6 +275,7 @@ class SickLmsEmulator:
         refused = bytes((REFUSED,))
         match payload[0]:
             case Command.RESET:
+                self._mode = Mode.STOP
                 # Once more 10 ms after its answer, at 9600 baud, as if it were switched on.
                 self._at(self._now_ns + 10 * MS + 80_000_000_000 // self._baud, self._switch_on)
                 return bytes((RESETTING,))

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from drivers.config import LaserConfig
 from drivers.samples import Scan
-from drivers.sick_lms.measurements import TURN_NS
+from drivers.sick_lms.measurements import CM, MM, TURN_NS, RangeTelegram
 from drivers.sick_lms.protocol import SickLmsProtocol
 from drivers.sick_lms.startup import STEPS, TRANSITIONS, WAITS_MS, Outcome, State
-from drivers.sick_lms.telegrams import Command, Mode, Variant
+from drivers.sick_lms.telegrams import POWER_ON, Command, DeviceType, Mode, Variant, answer, request
 from simulator.emulators.sick_lms import FACTORY_RECORD, SickLmsEmulator
 
 MS = 1_000_000
@@ -38,19 +38,20 @@ class World:
     """Ranges that tell which measurement they belong to, and when each beam was really shot."""
 
     def __init__(self) -> None:
+        self.nearest_m = 1.0
         self.shots_ns: list[NDArray[np.int64]] = []
         self.ranges_m: list[NDArray[np.float64]] = []
 
     def measure(self, shots_ns: NDArray[np.int64], angles_rad: NDArray[np.float64]) -> NDArray[np.float64]:
         """A wall that moves away by a centimetre every scan."""
-        ranges = 1.0 + 0.01 * len(self.shots_ns) + 0.1 * np.cos(angles_rad)
+        ranges = self.nearest_m + 0.01 * len(self.shots_ns) + 0.1 * np.cos(angles_rad)
         self.shots_ns.append(shots_ns.copy())
         self.ranges_m.append(ranges)
         return ranges
 
     def index_of(self, scan: Scan) -> int:
         """Which measurement this scan is."""
-        return round(float(scan.ranges_m[0] - 1.0 - 0.1 * np.cos(scan.angle_min_rad)) * 100)
+        return round(float(scan.ranges_m[0] - self.nearest_m - 0.1 * np.cos(scan.angle_min_rad)) * 100)
 
 
 class Wire:
@@ -297,6 +298,49 @@ def test_a_spontaneous_reset_is_survived() -> None:
         shots = wire.world.shots_ns[wire.world.index_of(scan)]
         assert np.all(scan.stamp.earliest_ns + scan.beam_offset_ns <= shots)
         assert np.all(shots <= scan.stamp.latest_ns + scan.beam_offset_ns)
+
+
+def test_a_power_on_string_ends_the_stream_at_once() -> None:
+    """A scanner that says it was just switched on is set up anew without waiting for the watchdog."""
+    wire = Wire(record=SERVING_RECORD)
+    wire.start()
+
+    wire.protocol.receive_data(answer(DeviceType("LMS221;302063;V02.30 ").serialise(POWER_ON)), wire.now_ns)
+
+    assert wire.protocol.state == "finding the scanner at 500000 baud"
+    assert wire.protocol.data_to_send() == request(bytes((Command.MODE, Mode.STOP)))
+
+
+def test_only_scans_as_ordered_are_believed() -> None:
+    """While streaming 181 values in millimetres, intact telegrams of another count or unit are no scans."""
+    wire = Wire(record=SERVING_RECORD)
+    wire.start()
+    codes = np.full(361, 1000, np.uint16)
+
+    for telegram in (RangeTelegram(codes, MM), RangeTelegram(codes[:181], CM), RangeTelegram(codes[:181], MM, True)):
+        assert wire.protocol.receive_data(answer(telegram.serialise()), wire.now_ns) == []
+    assert len(wire.protocol.receive_data(answer(RangeTelegram(codes[:181], MM).serialise()), wire.now_ns)) == 1
+
+
+@pytest.mark.parametrize("unit", ["mm", "cm"])
+def test_far_walls_are_seen(unit: Any) -> None:
+    """The driver chooses a measuring mode that reaches range_max_m, in either unit."""
+    wire = Wire(replace(CONFIG, unit=unit))
+    wire.world.nearest_m = 28.0
+
+    wire.start()
+
+    step = 0.01 if unit == "cm" else 0.001
+    assert wire.scans[0].ranges_m == pytest.approx(wire.world.ranges_m[0], abs=step / 2 + 1e-9)
+
+
+@pytest.mark.parametrize("command", [Command.TYPE, Command.STATUS])
+def test_a_scanner_that_does_not_introduce_itself_still_streams(command: Command) -> None:
+    """Type and status are good to know, but scans do not wait for them."""
+    wire = Wire(replace(CONFIG, baud=9600), record=SERVING_RECORD)
+    wire.to_scanner = lambda data: b"" if data[4] == command else data
+
+    wire.start(15.0)
 
 
 def test_silence_while_streaming_is_noticed_and_survived() -> None:
