@@ -19,6 +19,8 @@ from typing import Any
 from pymavlink.dialects.v10 import ardupilotmega as _v1_messages
 from pymavlink.dialects.v20 import ardupilotmega as _messages
 
+from drivers.framing import StampedBuffer
+
 _MAGIC_V1, _MAGIC_V2 = 0xFE, 0xFD
 _MAGIC = re.compile(rb"[\xfd\xfe]")
 _SIGNED = 0x01
@@ -105,24 +107,17 @@ class MavlinkStream:
     def __init__(self, counts: Counter[str]) -> None:
         """Counts go into `counts`."""
         self._counts = counts
-        self._buffer = bytearray()
-        self._reads: list[tuple[int, int]] = []
-        """(offset in the buffer where a read begins, its time)"""
+        self._buffer = StampedBuffer()
 
     def clear(self) -> None:
         """Forget what has not become a frame."""
-        self._counts["skipped_bytes"] += len(self._buffer)
-        self._buffer.clear()
-        self._reads.clear()
+        self._counts["skipped_bytes"] += self._buffer.clear()
 
     def receive(self, data: bytes, stamp_ns: int) -> list[tuple[MavlinkFrame, int]]:
         """Take what one read gave; each frame with the time of the read that held its first byte."""
-        if not data:
-            return []
         frames: list[tuple[MavlinkFrame, int]] = []
-        self._reads.append((len(self._buffer), stamp_ns))
-        self._buffer += data
-        buffer = bytes(self._buffer)
+        self._buffer.append(data, stamp_ns)
+        buffer = self._buffer.data
         position = 0
         while (magic := _MAGIC.search(buffer, position)) is not None:
             start = magic.start()
@@ -139,22 +134,12 @@ class MavlinkStream:
                 continue
             self._counts["frames"] += 1
             position = start + size
-            frames.append((frame, self._time_of(start)))
+            frames.append((frame, self._buffer.time_of(start)))
         else:
             self._counts["skipped_bytes"] += len(buffer) - position
             position = len(buffer)
-        self._discard(position)
+        self._buffer.discard(position)
         return frames
-
-    def _time_of(self, offset: int) -> int:
-        return next(stamp_ns for begin, stamp_ns in reversed(self._reads) if begin <= offset)
-
-    def _discard(self, n: int) -> None:
-        del self._buffer[:n]
-        moved = [(begin - n, stamp_ns) for begin, stamp_ns in self._reads]
-        # Of the reads that began before the buffer only the last still has bytes in it.
-        first = max((i for i, (begin, _) in enumerate(moved) if begin <= 0), default=0)
-        self._reads = [(max(0, begin), stamp_ns) for begin, stamp_ns in moved[first:]] if self._buffer else []
 
 
 def _frame_bytes(buffer: bytes, start: int) -> int | None:
