@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from drivers.compiled import compiled
 from drivers.config import DevicesConfig, GpsConfig
+from drivers.samples import Vector3
 from simulator.errors import ErrorLaw, draw
 from simulator.raycast import cast_rays
 from simulator.robot import STEP_NS, RobotModel, plan_drive, rotations
@@ -29,6 +30,8 @@ from simulator.truth import Truth
 
 Array = NDArray[np.float64]
 
+BEYOND_MAXIMUM_M = 1.0
+"""The scanner sees a little farther than what the host uses."""
 RANGE_MARGIN_M = {"mm": 0.0005, "cm": 0.005}
 FLOAT32_STEP_GYRO_RPS = 2.0**-24
 """Half a float32 step of rates up to 1 rad/s is a quarter of this."""
@@ -52,13 +55,8 @@ class World:
         start_ns: int,
         duration_s: float,
         origin: tuple[float, float, float] = (48.2, 11.6, 520.0),
-        gst_sigma_m: tuple[float, float, float] = (0.6, 0.6, 1.2),
     ) -> None:
-        """Plan the drive (`duration_s`, standstill included). `origin`: WGS-84 latitude, longitude, height of (0,0,0).
-
-        `gst_sigma_m` (east, north, up) is what the receiver reports as its sigma: it enters the bound of a fix where
-        the owner declares no RTK bound.
-        """
+        """Plan the drive (`duration_s`, standstill included). `origin`: WGS-84 latitude, longitude, height of (0,0,0)."""
         self.terrain = terrain
         self.devices = devices
         self.law = law
@@ -77,7 +75,20 @@ class World:
         self._tilt = [law.channel("tilt.roll"), law.channel("tilt.pitch")]
         self._accel = {(i, a): law.channel(f"accel.{i}.{a}") for i in range(4) for a in "xy"}
         self._gps = [law.channel(f"gps.{a}") for a in ("east", "north", "up")]
-        self._gps_bound = _fix_bound(devices.gps, gst_sigma_m) if devices.gps else (0.0, 0.0, 0.0)
+        self.rtk = devices.gps is not None and devices.gps.rtk_fixed_horizontal_m is not None
+        """Does the receiver have an RTK fix? It has, if the owner vouches for one."""
+        self.gst_sigma_m = (0.01, 0.01, 0.02) if self.rtk else (0.6, 0.6, 1.2)
+        """What the receiver says of its errors (east, north, up)."""
+        self._gps_bound = _fix_bound(devices.gps, self.gst_sigma_m) if devices.gps else (0.0, 0.0, 0.0)
+        self._compile()
+
+    def _compile(self) -> None:
+        """Let all machine code be made now, not at the first reading."""
+        t = self.start_ns
+        self.measure(np.full(1, t), np.zeros(1))
+        self.gyro(t - STEP_NS, t)
+        self.tilt(t)
+        self._hit_times, self._hits, self._ranges = [], [], []
 
     def _prepare_laser(self) -> None:
         laser = self.devices.laser
@@ -123,7 +134,7 @@ class World:
     # What the devices ask for.
 
     def measure(self, shot_times_ns: NDArray[np.int64], angles_rad: Array) -> Array:
-        """Distances [n] of the laser's beams; NaN never, +inf where nothing is within the configured maximum."""
+        """Distances [n] of the beams, never NaN; +inf where nothing is within the configured maximum or little more."""
         times = np.ascontiguousarray(shot_times_ns, np.int64)
         ranges = np.empty(times.size)
         hits = np.empty((times.size, 3))
@@ -141,7 +152,7 @@ class World:
             terrain.y0_m,
             terrain.cell_m,
             terrain.boxes,
-            laser.range_max_m,
+            laser.range_max_m + BEYOND_MAXIMUM_M,
             self._range_channel.law,
             self._range_channel.key,
             self._range_bound,
@@ -162,8 +173,8 @@ class World:
         encoders = self.devices.encoders
         return float(left) / encoders.left_metres_per_tick, float(right) / encoders.right_metres_per_tick
 
-    def gyro(self, t0_ns: int, t1_ns: int) -> Array:
-        """[3] mean body rate between two times, rad/s, with bias, scale error and noise."""
+    def gyro(self, t0_ns: int, t1_ns: int) -> Vector3:
+        """Mean body rate between two times, rad/s, with bias, scale error and noise."""
         imu = self.devices.imu
         seconds = (t1_ns - t0_ns) * 1e-9
         turned = self._turned(t1_ns) - self._turned(t0_ns)
@@ -172,14 +183,13 @@ class World:
         noise = max(radians(imu.gyro_noise_bound_dps) - FLOAT32_STEP_GYRO_RPS, 0.0)
         bias_bound, bias_drift = radians(imu.gyro_bias_bound_dps), radians(imu.gyro_bias_drift_dps2)
         since = t1_ns - self.start_ns
-        measured = np.empty(3)
-        for axis, (bias, jitter, scale_share) in enumerate(self._gyro):
-            measured[axis] = (
-                turned[axis] / seconds * (1.0 + scale * scale_share)
-                + bias.wander(since, bias_bound, bias_drift)
-                + noise * jitter.at(since)
-            )
-        return measured
+        x, y, z = (
+            float(angle) / seconds * (1.0 + scale * scale_share)
+            + bias.wander(since, bias_bound, bias_drift)
+            + noise * jitter.at(since)
+            for angle, (bias, jitter, scale_share) in zip(turned, self._gyro, strict=True)
+        )
+        return x, y, z
 
     def tilt(self, t_ns: int) -> tuple[float, float]:
         """Roll and pitch, rad; pitch positive nose down."""

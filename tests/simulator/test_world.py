@@ -106,9 +106,9 @@ def test_gyro_readings_stay_in_their_bounds(law: str) -> None:
 def test_gyro_increments_telescope(scene: str) -> None:
     """Mean rates times their intervals add up over any partition, but for the declared errors."""
     simulated = world("constant", scene)
-    quiet = simulated.gyro(DRIVE_NS, DRIVE_NS + 1_000_000)
+    quiet = np.array(simulated.gyro(DRIVE_NS, DRIVE_NS + 1_000_000))
     times = DRIVE_NS + np.arange(0, 10_000_000_001, 5_000_000)
-    fine = sum(simulated.gyro(int(t), int(t) + 5_000_000) - quiet for t in times[:-1]) * 0.005
+    fine = sum(np.array(simulated.gyro(int(t), int(t) + 5_000_000)) - quiet for t in times[:-1]) * 0.005
     whole = (simulated.gyro(DRIVE_NS, int(times[-1])) - quiet) * 10.0
     np.testing.assert_allclose(fine, whole, atol=1e-12)
 

@@ -1,0 +1,302 @@
+"""The whole emulated robot: four devices behind pseudo-terminals, driving through the simulated world.
+
+Time goes in slices. At the end T of each slice the robot takes what the hosts wrote, and sends what every device has
+finished sending by T. With a lockstep clock it then waits until the hosts have dealt with all of it, so that each byte
+is stamped T however loaded the machine is; without one, T is the system's monotonic clock and nobody is waited for.
+
+The robot stands still until the hosts listen: the laser streams and the encoders' channel is open. Then its two seconds
+of standstill begin, then the drive. In lockstep they begin at a whole multiple of five seconds, so that the readings of
+the drive don't depend on how long the handshakes took.
+"""
+
+import json
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+from drivers.clock import LockstepClock, SystemClock
+from drivers.config import DevicesConfig, LatencyMs
+from drivers.errors import ConfigurationError, PortLost
+from simulator.emulators.emulator import Emulator
+from simulator.emulators.gps import GpsEmulator
+from simulator.emulators.imu import ImuEmulator
+from simulator.emulators.sick_lms import SickLmsEmulator
+from simulator.emulators.track_encoders import TrackEncodersEmulator
+from simulator.ports import PseudoPort
+from simulator.world import World
+
+SLICE_NS = 5_000_000
+SETTLE_S = 0.05
+"""Hosts may flush a port just after they have opened it: nothing is sent for so long."""
+PATIENCE_S = 60.0
+"""How long a host may take over the bytes of one slice: it may have to compile first."""
+PROGRESS_EVERY_NS = 200_000_000
+BEGIN_GRID_NS = 5_000_000_000
+
+DEVICES = ("laser", "encoders", "imu", "gps")
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """Where a run stands."""
+
+    state: Literal["waiting", "starting", "driving", "done"]
+    """Nobody has opened the ports; hosts talk to their devices; standstill and drive; over."""
+    now_ns: int
+    driven_s: float
+    """Since the standstill began."""
+    duration_s: float
+    scans: int
+    """Sent by the laser."""
+
+
+def print_progress(progress: Progress) -> None:
+    """One line of JSON on stdout, at once."""
+    print(json.dumps(asdict(progress)), file=sys.stdout, flush=True)
+
+
+class _Wire:
+    """One device and its port, and the account of its bytes."""
+
+    def __init__(self, name: str, emulator: Emulator, port: PseudoPort) -> None:
+        self.name, self.emulator, self.port = name, emulator, port
+        self._written = 0
+        self._lost = 0
+
+    @property
+    def due(self) -> int:
+        """Bytes that the host will have read in all when it has read everything."""
+        return self._written - self.port.dropped_bytes - self._lost
+
+    def exchange(self, now_ns: int) -> None:
+        """Both directions, up to now."""
+        if request := self.port.read():
+            self.emulator.receive_data(self._on_the_line(request), now_ns)
+        # A device that changes its rate hands out what it sent before by itself.
+        while True:
+            rate = self.emulator.baud
+            data = self.emulator.data_to_send(now_ns)
+            if data:
+                self._written += len(data)
+                self.port.write(self._on_the_line(data, rate))
+            if self.emulator.baud == rate:
+                return
+
+    def write_off(self, acknowledged: int) -> None:
+        """What the host left unread when it closed the port is lost."""
+        self._lost += self.due - acknowledged
+
+    def _on_the_line(self, data: bytes, rate: int | None = None) -> bytes:
+        """What the other end makes of bytes: themselves at one rate, garbage where the rates differ."""
+        rate = self.emulator.baud if rate is None else rate
+        if rate is None or self.port.host_baud == rate:
+            return data
+        return bytes((0x5B * byte + 0x9D) & 0xFF | 0x80 for byte in data)
+
+
+def run_emulated_robot(
+    world: World,
+    devices: DevicesConfig,
+    links: Mapping[str, Path] | Path,
+    *,
+    clock: LockstepClock | None = None,
+    speed: float | None = None,
+    truth_path: Path | None = None,
+    slice_ns: int = SLICE_NS,
+    on_progress: Callable[[Progress], None] = print_progress,
+    stopping: threading.Event | None = None,
+    stay: bool = False,
+) -> None:
+    """Open the ports, wait for the hosts, drive to the end of the world's drive, write the truth.
+
+    links: a path for each device of `laser, encoders, imu, gps`, or a folder in which links of these names are made.
+    clock: in lockstep, whose `now_ns` is the world's `start_ns`; None: real time on the system's clock.
+    speed: in lockstep, times real time; None: as fast as the hosts can. Before the drive it is never above 1.
+    stopping, or Ctrl-C: end early, the truth is still written. stay: after the drive, stand still until stopped.
+    """
+    stopping = stopping or threading.Event()
+    plugged = _plug_in(world, devices, links, slice_ns)
+    try:
+        _Run(world, plugged, clock, speed, slice_ns, on_progress, stopping, stay).run(truth_path)
+    finally:
+        for wire in plugged.wires:
+            wire.port.close()
+
+
+@dataclass(frozen=True, slots=True)
+class _Devices:
+    """The robot's devices, plugged in."""
+
+    laser: SickLmsEmulator
+    encoders: TrackEncodersEmulator
+    wires: list[_Wire]
+
+    @property
+    def heard(self) -> bool:
+        """Do the hosts get scans and counts?"""
+        return self.laser.streaming and self.laser.scans_sent > 0 and self.encoders.is_open
+
+
+class _Run:
+    """The state of one run."""
+
+    def __init__(
+        self,
+        world: World,
+        devices: _Devices,
+        clock: LockstepClock | None,
+        speed: float | None,
+        slice_ns: int,
+        on_progress: Callable[[Progress], None],
+        stopping: threading.Event,
+        stay: bool,
+    ) -> None:
+        self._world, self._devices, self._clock = world, devices, clock
+        self._speed, self._slice_ns, self._stay = speed, slice_ns, stay
+        self._on_progress, self._stopping = on_progress, stopping
+        self._now_ns = (clock or SystemClock()).now_ns()
+        self._drive_start_ns: int | None = None
+        self._reported_ns: int | None = None
+        self._wires = devices.wires
+
+    def run(self, truth_path: Path | None) -> None:
+        """From the first open port to the end."""
+        try:
+            self._report("waiting")
+            if self._clock is not None:
+                self._wait_for_hosts()
+            pace = _Pace(self._speed if self._clock is not None else 1.0)
+            while not self._stopping.is_set():
+                self._slice(pace)
+                end_ns = self._world.drive_end_ns
+                if end_ns is not None and self._now_ns >= end_ns and not self._stay:
+                    break
+        except KeyboardInterrupt:
+            pass
+        finally:
+            if truth_path is not None:
+                self._world.truth(self._now_ns).save(truth_path)
+        self._report("done")
+
+    def _wait_for_hosts(self) -> None:
+        """In lockstep time stands still until every port is open."""
+        while not all(wire.port.host_present for wire in self._wires) and not self._stopping.is_set():
+            time.sleep(0.005)
+        time.sleep(SETTLE_S)
+
+    def _slice(self, pace: "_Pace") -> None:
+        """One slice of time."""
+        driving, heard = self._drive_start_ns is not None, self._devices.heard
+        pace.wait(self._slice_ns, driving or heard)
+        self._now_ns = self._now_ns + self._slice_ns if self._clock is not None else SystemClock().now_ns()
+        if self._clock is not None:
+            self._clock.set(self._now_ns)
+        for wire in self._wires:
+            wire.exchange(self._now_ns)
+        if self._clock is not None:
+            self._wait_for_acknowledgements(self._clock)
+        grid_ns = BEGIN_GRID_NS if self._clock is not None else 1
+        if not driving and heard and (self._now_ns - self._world.start_ns) % grid_ns < self._slice_ns:
+            self._drive_start_ns = self._now_ns
+            self._world.begin_drive(self._now_ns)
+        self._report_now_and_then("driving" if driving else "starting")
+
+    def _wait_for_acknowledgements(self, clock: LockstepClock) -> None:
+        """Until the hosts have dealt with every byte; a host that closed its port leaves its bytes behind."""
+        deadline = time.monotonic() + PATIENCE_S
+        while not clock.wait_for({wire.name: wire.due for wire in self._wires}, timeout_s=0.5):
+            if self._stopping.is_set():
+                return
+            for wire in self._wires:
+                wire.port.write()
+                late = clock.acknowledged(wire.name) < wire.due
+                if late and not wire.port.host_present:
+                    wire.write_off(clock.acknowledged(wire.name))
+                elif late and time.monotonic() > deadline:
+                    raise PortLost(f"{wire.port.path}: the host has not dealt with its bytes for {PATIENCE_S:g} s")
+
+    def _report_now_and_then(self, state: Literal["starting", "driving"]) -> None:
+        if self._reported_ns is None or self._now_ns - self._reported_ns >= PROGRESS_EVERY_NS:
+            self._report(state)
+            self._reported_ns = self._now_ns
+
+    def _report(self, state: Literal["waiting", "starting", "driving", "done"]) -> None:
+        driven_ns = 0 if self._drive_start_ns is None else self._now_ns - self._drive_start_ns
+        duration_s = self._world.drive.duration_ns * 1e-9
+        self._on_progress(Progress(state, self._now_ns, driven_ns * 1e-9, duration_s, self._devices.laser.scans_sent))
+
+
+class _Pace:
+    """Holds slices back to a speed; a slice that is late makes the next ones hurry."""
+
+    def __init__(self, speed: float | None) -> None:
+        self._speed = speed
+        self._next_s = time.monotonic()
+        self._behind_limit_s = 0.5
+
+    def wait(self, slice_ns: int, hurry: bool) -> None:
+        """Sleep until the next slice may begin; without `hurry` the speed is at most that of real time."""
+        speed = self._speed if hurry else min(self._speed or 1.0, 1.0)
+        if speed is None:
+            return
+        self._next_s = max(self._next_s + slice_ns * 1e-9 / speed, time.monotonic() - self._behind_limit_s)
+        left_s = self._next_s - time.monotonic()
+        if left_s > 0:
+            time.sleep(left_s)
+
+
+def _plug_in(world: World, devices: DevicesConfig, links: Mapping[str, Path] | Path, slice_ns: int) -> _Devices:
+    """Switch the devices on and plug them in."""
+    start_ns = world.start_ns
+    imu, gps = devices.imu, devices.gps
+    laser = SickLmsEmulator(world.measure, start_ns=start_ns)
+    encoders = TrackEncodersEmulator(
+        world.count,
+        start_ns=start_ns,
+        bitrate=devices.encoders.bitrate,
+        latency_ns=_latency_ns("encoders", devices.encoders.latency_ms, slice_ns),
+    )
+    emulators: dict[str, Emulator] = {
+        "laser": laser,
+        "encoders": encoders,
+        "imu": ImuEmulator(
+            world.gyro,
+            world.accel,
+            world.tilt,
+            start_ns=start_ns,
+            baud=imu.baud,
+            latency_ns=_latency_ns("imu", imu.latency_ms, slice_ns),
+            clock_ppm=imu.clock_drift_ppm * 0.99 * world.law.channel("imu.clock").level,
+        ),
+    }
+    if gps is not None:
+        emulators["gps"] = GpsEmulator(
+            world.position,
+            start_ns=start_ns,
+            baud=gps.baud,
+            latency_ns=_latency_ns("gps", gps.latency_ms, slice_ns),
+            quality=4 if world.rtk else 2,
+            sigma_m=world.gst_sigma_m,
+        )
+    paths = {name: links / name for name in DEVICES} if isinstance(links, Path) else links
+    wires = []
+    for name, emulator in emulators.items():
+        paths[name].parent.mkdir(parents=True, exist_ok=True)
+        wires.append(_Wire(name, emulator, PseudoPort(paths[name])))
+    return _Devices(laser, encoders, wires)
+
+
+def _latency_ns(device: str, latency_ms: LatencyMs, slice_ns: int) -> int:
+    """From acquisition to the wire, such that with a slice on top it stays in the middle of what is declared."""
+    least, most = latency_ms
+    room_ms = most - least - slice_ns * 1e-6
+    if room_ms < 0:
+        raise ConfigurationError(
+            f"devices.{device}.latency_ms: [{least:g}, {most:g}] is narrower than the {slice_ns * 1e-6:g} ms slices of "
+            "the emulated robot; declare a wider interval"
+        )
+    return round((least + 0.5 * room_ms) * 1e6)
