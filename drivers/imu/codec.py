@@ -16,9 +16,12 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from pymavlink.dialects.v10 import ardupilotmega as _v1_messages
 from pymavlink.dialects.v20 import ardupilotmega as _messages
 
+from drivers.compiled import compiled
 from drivers.framing import StampedBuffer
 
 _MAGIC_V1, _MAGIC_V2 = 0xFE, 0xFD
@@ -34,23 +37,19 @@ _V1_LENGTHS = frozenset(_V1_BYTES.values())
 _BY_NAME: dict[str, Any] = {m.msgname: m for m in _DEFINITION.values()}
 
 
-def _crc_table() -> tuple[int, ...]:
-    """X.25: the CCITT polynomial 1021h, bits reflected."""
-    table = []
-    for value in range(256):
-        for _ in range(8):
-            value = (value >> 1) ^ (0x8408 if value & 1 else 0)
-        table.append(value)
-    return tuple(table)
+def x25(data: bytes) -> int:
+    """The MAVLink checksum of `data`."""
+    return _x25(np.frombuffer(data, np.uint8))
 
 
-_CRC_TABLE = _crc_table()
-
-
-def x25(data: bytes, crc: int = 0xFFFF) -> int:
-    """The MAVLink checksum of `data`, continued from `crc`."""
+@compiled
+def _x25(data: NDArray[np.uint8]) -> int:
+    """CRC-16 of the CCITT polynomial, bits reflected, begun with ones; a byte at a time without a table."""
+    crc = 0xFFFF
     for byte in data:
-        crc = (crc >> 8) ^ _CRC_TABLE[(crc ^ byte) & 0xFF]
+        low = (crc ^ byte) & 0xFF
+        low ^= (low << 4) & 0xFF
+        crc = (crc >> 8) ^ (low << 8) ^ (low << 3) ^ (low >> 4)
     return crc
 
 
@@ -84,7 +83,7 @@ def serialise(frame: MavlinkFrame) -> bytes:
         head = bytes((len(payload), 0, 0, *addresses)) + definition.id.to_bytes(3, "little")
     body = head + payload
     magic = _MAGIC_V1 if frame.version == 1 else _MAGIC_V2
-    return bytes((magic,)) + body + _CRC.pack(x25(bytes((definition.crc_extra,)), x25(body)))
+    return bytes((magic,)) + body + _CRC.pack(x25(body + bytes((definition.crc_extra,))))
 
 
 def build(
@@ -177,6 +176,6 @@ def _checked(data: bytes) -> MavlinkFrame | None:
         number = int.from_bytes(data[7:10], "little")
     definition = _DEFINITION[number]
     end = head_bytes + length
-    if x25(bytes((definition.crc_extra,)), x25(data[1:end])) != _CRC.unpack_from(data, end)[0]:
+    if x25(data[1:end] + bytes((definition.crc_extra,))) != _CRC.unpack_from(data, end)[0]:
         return None
     return MavlinkFrame(definition.msgname, sequence, system, component, data[head_bytes:end], version)

@@ -49,6 +49,8 @@ def _updated(
     fields: dict[str, Any], names: tuple[str, str, str], updated: int, first_bit: int
 ) -> tuple[Vector3, tuple[float, ...]]:
     """Three axes, NaN where their bit says that they are not new; and those that are."""
+    if not updated & (0b111 * first_bit):
+        return ABSENT3, ()
     x, y, z = (fields[name] if updated & (first_bit << i) else nan for i, name in enumerate(names))
     return (x, y, z), tuple(fields[name] for i, name in enumerate(names) if updated & (first_bit << i))
 

@@ -133,12 +133,12 @@ def _fault(message: str, reading: Reading) -> str | None:
         return "nothing_new"
     if not all(isfinite(value) for value in reading.present):
         return "not_finite"
-    if (
-        any(abs(value) > _ACCEL_LIMIT_MPS2 for value in reading.accel_mps2)
-        or any(abs(value) > _GYRO_LIMIT_RPS for value in reading.gyro_rps)
-        or any(abs(value) > _TILT_LIMIT_RAD for value in reading.tilt_rad)
-    ):
-        return "out_of_range"
+    # Absent axes are NaN, which no limit refuses.
+    limits = ((reading.accel_mps2, _ACCEL_LIMIT_MPS2), (reading.gyro_rps, _GYRO_LIMIT_RPS))
+    for values, limit in (*limits, (reading.tilt_rad, _TILT_LIMIT_RAD)):
+        for value in values:
+            if value > limit or value < -limit:
+                return "out_of_range"
     if message != "HIGHRES_IMU" and len(reading.present) == 6 and not any(reading.present):
         return "dead"
     return None

@@ -171,7 +171,7 @@ def test_signed_and_version_1_frames_are_read() -> None:
     plain = serialise(build("RAW_IMU", xacc=5, time_usec=9))
     signed = bytearray(plain)
     signed[2] = 1
-    crc = x25(bytes((144,)), x25(bytes(signed[1:-2])))
+    crc = x25(bytes(signed[1:-2]) + bytes((144,)))
     signed[-2:] = struct.pack("<H", crc)
     first = serialise(build("RAW_IMU", sequence=1, xacc=5, time_usec=9, version=1))
     host = protocol()
