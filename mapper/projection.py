@@ -34,7 +34,7 @@ from drivers.samples import Scan
 
 Floats = NDArray[np.float64]
 
-PAD = 2.0**-42
+PAD = 2.0**-41
 """Absolute inflation, per metre of the lengths in play, times (1 + Z)^2: a bound of the chain's rounding error."""
 GROW = 1.0 + 2.0**-40
 """Relative inflation of a half-width: covers the rounding of its own sums and products."""

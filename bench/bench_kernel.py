@@ -1,0 +1,156 @@
+"""How long one scan takes into the map, at four pose errors: the compiled kernel against numpy with the same maths.
+
+    python bench/bench_kernel.py [--repeats 500]
+
+721 beams, 5 cm cells, the scanner 0.468 m high and pitched 10 degrees down over rough ground. CPU time of the calling
+thread, so that a shared machine's scheduler stays out. Before it times anything, it checks that both give one map.
+"""
+
+import argparse
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.config import LaserConfig
+from drivers.samples import Scan, Stamp
+from mapper.config import MapConfig
+from mapper.elevation_map import ElevationMap
+from mapper.projection import (
+    G_RANGE_MAX,
+    G_RANGE_MIN,
+    GROW,
+    P_CENTRE,
+    P_CONSTANT,
+    P_LEVER,
+    P_PER_METRE,
+    P_SIZE,
+    P_TURN_RANGE,
+    P_TURN_TURN,
+    P_U_COS,
+    P_U_SIN,
+    P_W_COS,
+    P_W_SIN,
+    W_ROWS,
+    Floats,
+    laser_geometry,
+    prepare_pose,
+)
+
+BEAMS = 721
+RESOLUTION_M = 0.05
+LEVELS = ((0.01, 0.2), (0.05, 0.5), (0.2, 1.0), (0.5, 3.0))
+LASER = LaserConfig(
+    port="none",
+    latency_ms=(0.0, 1.0),
+    range_bound_m=0.02,
+    angle_bound_deg=0.1,
+    mount_x_m=0.2,
+    mount_y_m=0.0,
+    mount_z_m=0.468,
+    mount_pitch_deg=-10.0,
+    mount_position_bound_m=0.0,
+    mount_angle_bound_deg=0.1,
+)
+
+
+def rough_scan() -> Scan:
+    """Ground with steps ahead, nothing nearer than 0.5 m or farther than 8 m."""
+    angles = np.linspace(-np.pi / 2, np.pi / 2, BEAMS)
+    ground = 0.468 / np.sin(np.radians(10.0)) / np.maximum(np.cos(angles), 0.05)
+    rough = 0.05 * np.random.default_rng(1).standard_normal(BEAMS) - 0.3 * (np.sin(9 * angles) > 0.5)
+    return Scan(
+        Stamp(0, 0), np.zeros(BEAMS, np.int64), -np.pi / 2, np.pi / (BEAMS - 1), np.clip(ground + rough, 0.5, 8.0), 0
+    )
+
+
+class NumpyMap:
+    """The same map in numpy: boxes for all beams at once, then all touched cells of two dense layers at once."""
+
+    def __init__(self, half_side: int = 1024) -> None:
+        self.neg_low = np.full((2 * half_side, 2 * half_side), -np.inf, np.float32)
+        self.high = self.neg_low.copy()
+        self.origin = half_side
+        self.geometry, self.work, self.pose = laser_geometry(LASER), np.empty((W_ROWS, 4)), np.empty(P_SIZE)
+
+    def insert(self, scan: Scan, low: Floats, high: Floats) -> None:
+        """Take a scan with one pose for all beams."""
+        prepare_pose(low[0], high[0], self.geometry, self.work, self.pose)
+        r = scan.ranges_m
+        used = (r >= self.geometry[G_RANGE_MIN]) & (r <= self.geometry[G_RANGE_MAX])
+        angle = scan.angle_min_rad + np.arange(r.size) * scan.angle_increment_rad
+        rows = np.stack((np.cos(angle), np.sin(angle)))[:, used]
+        r = r[used]
+
+        def part(at: int, count: int) -> NDArray[np.float64]:
+            return self.pose[at : at + 3 * count].reshape(count, 3)
+
+        beam = np.stack((rows * r, rows))  # [metres | unit, cos | sin, n]
+        turned = np.einsum("cki,cn->nki", np.stack((part(P_W_COS, 7), part(P_W_SIN, 7))), beam[0])
+        turned[:, :3] += part(P_LEVER, 3)
+        u = np.einsum("ci,cn->ni", np.stack((part(P_U_COS, 1)[0], part(P_U_SIN, 1)[0])), beam[1])
+        second = r[:, None, None] * part(P_TURN_TURN, 3) + part(P_TURN_RANGE, 3)
+        half = part(P_CONSTANT, 1) + r[:, None] * part(P_PER_METRE, 1) + np.abs(turned).sum(axis=1)
+        half = (half + np.einsum("nij,nj->ni", second, np.abs(u))) * GROW
+        centre = part(P_CENTRE, 1) + r[:, None] * u
+        z = np.stack((half[:, 2] - centre[:, 2], centre[:, 2] + half[:, 2]))
+        neg_low, top = (z + np.abs(z) * 2.0**-23 + 2.0**-100).astype(np.float32)
+        first = np.floor((centre - half)[:, :2] * 20.0).astype(np.int64) + self.origin
+        last = np.floor((centre + half)[:, :2] * 20.0).astype(np.int64) + self.origin + 1
+        columns, count = (last - first)[:, 0], np.prod(last - first, axis=1)
+        beam_of = np.repeat(np.arange(r.size), count)
+        nth = np.arange(beam_of.size) - np.repeat(np.cumsum(count) - count, count)
+        row, column = np.divmod(nth, columns[beam_of])
+        cells = (first[beam_of, 1] + row) * self.neg_low.shape[1] + first[beam_of, 0] + column
+        np.maximum.at(self.neg_low.reshape(-1), cells, neg_low[beam_of])
+        np.maximum.at(self.high.reshape(-1), cells, top[beam_of])
+
+
+def cpu_us(call: Callable[[], object], repeats: int) -> tuple[float, float, float]:
+    """p1, p50, p99 of the thread's CPU time, in microseconds."""
+    call()
+    times = []
+    for _ in range(repeats):
+        start = time.thread_time_ns()
+        call()
+        times.append(time.thread_time_ns() - start)
+    p1, p50, p99 = np.percentile(times, [1, 50, 99]) / 1e3
+    return float(p1), float(p50), float(p99)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repeats", type=int, default=500)
+    repeats = parser.parse_args().repeats
+    scan, pose_index = rough_scan(), np.zeros(BEAMS, np.int32)
+    print("pose error        cells/beam  cells seen  kernel p1/p50/p99 (CPU us)  numpy p50   ratio")
+    for metres, degrees in LEVELS:
+        high = np.array([[metres] * 3 + [np.radians(degrees)] * 3])
+        terrain = ElevationMap(MapConfig(resolution_m=RESOLUTION_M, max_footprint_m=50.0), LASER)
+        plain = NumpyMap()
+        terrain.insert(scan, -high, high, pose_index)
+        plain.insert(scan, -high, high)
+        seen = int(np.count_nonzero(plain.high > -np.inf))
+        if abs(terrain.cells_seen - seen) > 1e-3 * seen:
+            raise SystemExit(f"the two maps differ: {terrain.cells_seen} and {seen} cells")
+        each = sum(single_beam_cells(scan, n, high) for n in range(0, BEAMS, 40)) / len(range(0, BEAMS, 40))
+        ours = cpu_us(lambda h=high, m=terrain: m.insert(scan, -h, h, pose_index), repeats)  # type: ignore[misc]
+        theirs = cpu_us(lambda h=high, m=plain: m.insert(scan, -h, h), max(5, repeats // 20))  # type: ignore[misc]
+        print(
+            f"{metres:5.2f} m {degrees:4.1f} deg  {each:10.0f}  {seen:10d}  "
+            f"{ours[0]:8.1f} {ours[1]:8.1f} {ours[2]:8.1f}  {theirs[1]:9.0f}  {theirs[0] / ours[0]:6.1f}"
+        )
+
+
+def single_beam_cells(scan: Scan, beam: int, high: Floats) -> int:
+    """Cells that one beam touches."""
+    terrain = ElevationMap(MapConfig(resolution_m=RESOLUTION_M, max_footprint_m=50.0), LASER)
+    only = np.where(np.arange(BEAMS) == beam, 0, -1).astype(np.int32)
+    terrain.insert(scan, -high, high, only)
+    return terrain.cells_seen
+
+
+if __name__ == "__main__":
+    main()
