@@ -245,6 +245,33 @@ def test_the_eeprom_is_written_only_on_a_difference() -> None:
     assert second.emulator.eeprom_writes == 0
 
 
+def test_a_lost_answer_to_a_write_does_not_wear_the_eeprom() -> None:
+    """When F7h is lost, the record is read again, not written again."""
+    wire = Wire(record=FACTORY_RECORD)
+    wire.to_host = lambda data: data if wire.protocol.state != State.WRITING_CONFIGURATION.value else b""
+
+    wire.start(20.0)
+
+    assert wire.emulator.eeprom_writes == 1
+
+
+def test_a_lost_answer_to_the_start_costs_no_scan() -> None:
+    """Scans that come instead of the awaited A0h are taken, and the start is not asked for again."""
+    wire = Wire(record=SERVING_RECORD)
+
+    def lose(data: bytes) -> bytes:
+        return data.replace(answer(b"\xa0\x00\x10"), b"") if wire.protocol.state == State.STARTING.value else data
+
+    wire.to_host = lose
+    wire.run(10.0, until=lambda: wire.protocol.state == State.STARTING.value)
+    asked = len(wire.requests)
+    wire.start(1.0)
+
+    assert len(wire.requests) == asked
+    assert wire.world.index_of(wire.scans[0]) == 0
+    wire.check_scans()
+
+
 def test_a_measuring_mode_that_reaches_far_enough_is_left_alone() -> None:
     """Reflector flags do not matter: a mode with the needed reach is decoded as it is."""
     wire = Wire(replace(CONFIG, range_max_m=8.0), record=FACTORY_RECORD[:5] + b"\x01" + FACTORY_RECORD[6:])
