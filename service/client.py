@@ -4,6 +4,7 @@ Whatever is lost, late or doubled on the way, the copy is a past state of the ro
 the present one, bit for bit in the published quantisation, once the link has been quiet for a digest.
 """
 
+import atexit
 import json
 import threading
 import time
@@ -129,11 +130,14 @@ class RemoteMap:
     def start(self) -> None:
         """Begin to connect, and keep trying. Raises LinkError where a locator isn't one."""
         session_config("client", connect=self._locators)
+        # A thread that is inside Zenoh when the interpreter ends would abort the process.
+        atexit.register(self.close)
         self._receiver.start()
         self._repairer.start()
 
     def close(self) -> None:
         """End both threads and the session; the copy stays readable."""
+        atexit.unregister(self.close)
         with self._changed:
             self._stopping = True
             subscriber = self._subscriber
@@ -238,9 +242,12 @@ class RemoteMap:
                 with open_session("client", connect=self._locators, multicast=self._multicast) as session:
                     pause_s = FIRST_RETRY_S
                     self._follow(session)
+                failure = None
             except (LinkError, zenoh.ZError) as error:
-                self.failure = str(error)
+                failure = str(error)
             with self._changed:
+                self.failure = failure
+                self._changed.notify_all()
                 self._changed.wait_for(lambda: self._stopping, pause_s)
             pause_s = min(2 * pause_s, LAST_RETRY_S)
 
@@ -469,6 +476,7 @@ class RemoteMap:
             with self._changed:
                 if note.epoch != self._epoch:
                     return
+                self._guarantee = guarantee_from(note.guarantee)
                 listed = self._stale.pop(place, None)
                 self.counts["repaired"] += 1
                 old = self._tiles.get(place)

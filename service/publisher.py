@@ -5,6 +5,7 @@ coalesce by themselves. Every message may be dropped by the network; the digest 
 a get on the tile's key brings it. A session that fails is opened again; mapping goes on meanwhile.
 """
 
+import atexit
 import secrets
 import threading
 import time
@@ -221,6 +222,8 @@ class Publisher:
 
         An address that this host merely doesn't have yet (the radio is still coming up) is waited for in background.
         """
+        # A thread that is inside Zenoh when the interpreter ends would abort the process.
+        atexit.register(self.close)
         self._thread.start()
         self._started.wait(START_TIMEOUT_S)
         if self._refused is not None:
@@ -257,6 +260,7 @@ class Publisher:
 
     def close(self) -> None:
         """End the thread and its session."""
+        atexit.unregister(self.close)
         with self._wake:
             self._stopping = True
             self._wake.notify_all()
@@ -374,18 +378,18 @@ class Publisher:
         self._guarantee = update.guarantee
 
     def _send_periodic(self, session: zenoh.Session, now_s: float) -> None:
-        """Pose, anchor, health, info and digest, each when it is due."""
-        if self._unsent_pose is not None and now_s >= self._pose_due_s:
+        """Pose, anchor, health, info and digest, each when it is due, and all at the end."""
+        ending = self._flush_wanted and self._update is None and self.ready
+        if self._unsent_pose is not None and (ending or now_s >= self._pose_due_s):
             self._pose_due_s = now_s + 1 / self._config.pose_rate_hz
             pose, self._unsent_pose = self._unsent_pose, None
             self._put(session, POSE, write_pose(pose))
-        if self._health is not None and now_s >= self._health_due_s:
+        if self._health is not None and (ending or now_s >= self._health_due_s):
             self._health_due_s = now_s + self._config.health_period_s
             self._put(session, HEALTH, self._topic(HEALTH))
         if self._unsent_anchor and self._anchor is not None:
             self._unsent_anchor = False
             self._put(session, ANCHOR, self._anchor)
-        ending = self._flush_wanted and self._update is None and self.ready
         self._final = self._final or ending
         if ending or now_s >= self._digest_due_s:
             self._digest_due_s = now_s + self._config.digest_period_s
