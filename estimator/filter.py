@@ -27,7 +27,7 @@ from estimator.geodesy import TangentPlane
 from estimator.inconsistency import Contradictions
 from estimator.interval import down, hull, is_empty, meet, mig, up, widen
 from estimator.motion import QUANTUM, GyroBounds, TrackBounds, excursion, rotate, travel, turn
-from estimator.observations import GRAVITY, accelerometer_tilt, anchored, lever
+from estimator.observations import GRAVITY, accelerometer_tilt, anchored, anchored_by_all, lever
 from estimator.tube import Tube, poses_between
 
 UNKNOWN_TILT = 1.5707963267948968
@@ -43,6 +43,10 @@ LONGEST_BRIDGE_NS = 50_000_000
 PENDING = 4096
 """Samples that may wait for the chain they depend on; the oldest are dropped."""
 ANYWHERE_M = 1e8
+REMEMBERED = 24
+"""Early fixes that are applied to the anchor again and again."""
+REMEMBER_EVERY_M = 0.4
+STANDING_FIXES = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +131,8 @@ class Filter:
         self._fixes: deque[Fix] = deque(maxlen=PENDING)
 
         self._plane: TangentPlane | None = None
+        self._antennas, self._points = np.zeros((REMEMBERED, 3, 2)), np.zeros((REMEMBERED, 3, 2))
+        self._remembered = 0
         self._anchor = np.array([[-ANYWHERE_M, ANYWHERE_M]] * 3 + [[-UNKNOWN_YAW, UNKNOWN_YAW]])
 
     # ---------------------------------------------------------------- samples in
@@ -491,8 +497,9 @@ class Filter:
         offset = np.stack([_down(arm[:, 0] - since[:, 1]), _up(arm[:, 1] - since[:, 0])], axis=1)
         here = places.box[n]
         point = np.stack([_down(here[:, 0] + offset[:, 0]), _up(here[:, 1] + offset[:, 1])], axis=1)
-        anchor = self._anchor.copy()
-        if not anchored(self._plane.antenna(fix), anchor, point):
+        anchor, points, antenna = self._anchor.copy(), self._points.copy(), self._plane.antenna(fix)
+        agree = anchored_by_all(self._antennas, points, self._remembered, anchor)
+        if not agree or not anchored(antenna, anchor, point):
             self._contradictions.report("gps", stamp.mid_ns)
             return
         narrowed = np.empty((3, 2))
@@ -502,7 +509,8 @@ class Filter:
         if np.any(narrowed[:, 0] > narrowed[:, 1]):
             self._contradictions.report("gps", stamp.mid_ns)
             return
-        self._anchor = anchor
+        self._anchor, self._points = anchor, points
+        self._remember(antenna, point)
         here[:] = narrowed
         # what is still to come after node n, see motion.travel: the count's error, and the turning around the node
         m = turns.before(int(places.times[n, 0]))
@@ -512,6 +520,18 @@ class Filter:
         for c in range(3):
             future = widen((here[c, 0], here[c, 1]), up(self._pending_quantum[c] + slack))
             self._core[c] = meet((self._core[c, 0], self._core[c, 1]), future)
+
+    def _remember(self, antenna: NDArray[np.float64], point: NDArray[np.float64]) -> None:
+        """Keep the first fixes for later: where the robot stood at first, then one every little way."""
+        k = self._remembered
+        if k == REMEMBERED:
+            return
+        if k >= STANDING_FIXES:
+            way = np.abs(np.mean(point - self._points[k - 1], axis=1))
+            if max(way[0], way[1]) < REMEMBER_EVERY_M:
+                return
+        self._antennas[k], self._points[k] = antenna, point
+        self._remembered += 1
 
     def _travelled_since(self, i: int, j: int, n: int) -> NDArray[np.float64]:
         """[3, 2] p_n - p(τ) for any τ between the nodes i and j: j to n by its net, i to j by its variation."""

@@ -1,9 +1,25 @@
 """Rotations of boxes: map_from_base = Rz(yaw) Ry(pitch) Rx(roll), x ahead, y left, z up, pitch > 0 nose down."""
 
+from math import sqrt
 from typing import TypeAlias
 
 from drivers.compiled import compiled
-from estimator.interval import Interval, add, cosine, mag, meet, mul, neg, norm, sine, sub
+from estimator.interval import (
+    Interval,
+    add,
+    cosine,
+    direction,
+    down,
+    is_empty,
+    mag,
+    meet,
+    mig,
+    mul,
+    neg,
+    norm,
+    sine,
+    sub,
+)
 
 Box3: TypeAlias = tuple[Interval, Interval, Interval]
 """Three intervals: of a vector, or of (roll, pitch, yaw)."""
@@ -38,12 +54,22 @@ def up_axis(attitude: Box3) -> Box3:
 
 @compiled
 def turned(yaw: Interval, x: Interval, y: Interval) -> tuple[Interval, Interval]:
-    """Rz(yaw) (x, y), outer; never longer than the longest (x, y), so an unknown yaw gives a square."""
+    """Rz(yaw) (x, y), outer: the Cartesian enclosure, met with the polar one, ρ (cos, sin)(α + yaw).
+
+    The first is better for a narrow yaw, the second for a far point: there its radius stays as sharp as it was.
+    """
     c = cosine(yaw)
     s = sine(yaw)
     most = norm(x, y)
-    disc = (-most, most)
-    return meet(sub(mul(c, x), mul(s, y)), disc), meet(add(mul(s, x), mul(c, y)), disc)
+    ahead = meet(sub(mul(c, x), mul(s, y)), (-most, most))
+    left = meet(add(mul(s, x), mul(c, y)), (-most, most))
+    alpha = direction(x, y)
+    if not is_empty(alpha):
+        least = max(0.0, down(down(sqrt(max(0.0, down(down(mig(x) * mig(x)) + down(mig(y) * mig(y))))))))
+        angle = add(alpha, yaw)
+        ahead = meet(ahead, mul((least, most), cosine(angle)))
+        left = meet(left, mul((least, most), sine(angle)))
+    return ahead, left
 
 
 @compiled

@@ -124,6 +124,7 @@ def anchored(antenna: NDArray[np.float64], anchor: NDArray[np.float64], point: N
         anchor[0, 0], anchor[0, 1] = east
         anchor[1, 0], anchor[1, 1] = north
         anchor[3, 0], anchor[3, 1] = psi
+    # heights don't turn
     height = (antenna[2, 0], antenna[2, 1])
     z = (point[2, 0], point[2, 1])
     t = (anchor[2, 0], anchor[2, 1])
@@ -133,4 +134,18 @@ def anchored(antenna: NDArray[np.float64], anchor: NDArray[np.float64], point: N
         return False
     point[2, 0], point[2, 1] = z_new
     anchor[2, 0], anchor[2, 1] = t_new
+    return True
+
+
+@compiled
+def anchored_by_all(
+    antennas: NDArray[np.float64], points: NDArray[np.float64], count: int, anchor: NDArray[np.float64]
+) -> bool:
+    """`anchored` by each of the first `count` remembered fixes (antennas, points [k, 3, 2]).
+
+    What an early fix says of t is of use only when later ones have narrowed Ψ.
+    """
+    for i in range(count):
+        if not anchored(antennas[i], anchor, points[i]):
+            return False
     return True

@@ -1,7 +1,7 @@
 """The filter against a small kinematic truth of its own, whose errors stay at the corners of their bounds."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import nan, pi
 
 import numpy as np
@@ -308,13 +308,12 @@ class Outcome:
 
 def follow(
     world: World,
-    robot: RobotConfig = ROBOT,
     config: FilterConfig = CONFIG,
-    encoders: EncodersConfig = ENCODERS,
-    imu: ImuConfig = IMU,
+    *,
+    modulo_turns: bool = False,
 ) -> Outcome:
     """Feed a drive to the filter; ask for its poses, as soon as they are to be had, at every instant of the truth."""
-    pose = Filter(robot, config, encoders, imu, GPS if world.gps else None)
+    pose = Filter(ROBOT, config, ENCODERS, IMU, GPS if world.gps else None)
     checked = violations = 0
     next_index = 1
     width = np.full(6, np.inf)
@@ -332,7 +331,9 @@ def follow(
         assert pose.poses_over(times, times, low, high)
         assert np.isfinite(low).all()
         assert np.isfinite(high).all()
-        true = world.pose[next_index:last]
+        true = world.pose[next_index:last].copy()
+        if modulo_turns:
+            true[:, 5] += 2 * pi * np.ceil((low[:, 5] - true[:, 5]) / (2 * pi))
         inside = (low - 1e-10 <= true) & (true <= high + 1e-10)
         checked += inside.size
         violations += int((~inside).sum())
@@ -354,3 +355,192 @@ def test_the_true_pose_is_always_inside(script: str, mode: str) -> None:
 def hash_seed(*words: str) -> int:
     """A seed that is the same in every run."""
     return sum(ord(letter) * (7 + i) for i, letter in enumerate("".join(words)))
+
+
+EDGES: dict[str, dict[str, object]] = {
+    "30 degrees steep": {"steep_deg": 30.0},
+    "moving from the first instant": {"stand_s": 0.0},
+    "z gyro alone": {"gyro_axes": (False, False, True)},
+    "no pitch gyro": {"gyro_axes": (True, False, True)},
+    "a third of all packets lost": {"loss": 0.33},
+    "no GPS": {"gps": False},
+    "no tilt sensor": {"tilt": False},
+    "no accelerometers": {"accelerometers": False},
+    "standing": {"script": "stand"},
+    "spinning": {"script": "spin", "stand_s": 0.1},
+}
+
+
+@pytest.mark.parametrize("edge", EDGES)
+def test_the_true_pose_is_inside_at_the_edges_too(edge: str) -> None:
+    """Steep, shaken, half blind or badly connected: the set grows, and holds."""
+    for seed in range(2):
+        world = World(seed + hash_seed(edge), mode="mixed", seconds=5.0, **EDGES[edge])  # type: ignore[arg-type]
+        outcome = follow(world)
+        assert outcome.checked > 20_000
+        assert outcome.violations == 0
+        assert outcome.filter.guarantee.intact
+
+
+@pytest.mark.parametrize(
+    ("what", "mode", "script"),
+    [
+        ("gyro", "constant", "wander"),
+        ("slip", "constant", "straight"),
+        ("tilt", "constant", "wander"),
+        ("gps", "corner", "wander"),  # a constant error of all fixes is one of the anchor, and does no harm
+        ("latency", "corner", "wander"),
+    ],
+)
+def test_a_broken_bound_shows(what: str, mode: str, script: str) -> None:
+    """Errors of four times their declared bounds lose the truth or are caught: the tests above can fail."""
+    shown = 0
+    for seed in range(3):
+        outcome = follow(World(seed, mode=mode, script=script, seconds=6.0, exceed={what: 4.0}))
+        shown += outcome.violations > 0 or not outcome.filter.guarantee.intact
+    assert shown >= 2
+
+
+def test_a_contradiction_names_its_sensor_and_shrinks_nothing() -> None:
+    """One fix 5 m off voids the guarantee in the name of the GPS, is not used, and the pose still holds."""
+    world = World(3, seconds=6.0)
+    wrong = next(k for k, s in enumerate(world.samples) if isinstance(s, Fix) and s.stamp.mid_ns > 14_000_000_000)
+    fix = world.samples[wrong]
+    assert isinstance(fix, Fix)
+    world.samples[wrong] = replace(fix, lat_deg=fix.lat_deg + 5.0 / 111_000.0)
+    outcome = follow(world)
+    assert outcome.filter.guarantee.sensor == "gps"
+    assert outcome.filter.guarantee.void_since_ns == fix.stamp.mid_ns
+    assert outcome.filter.counts["contradiction_gps"] == 1
+    assert outcome.violations == 0
+
+
+@pytest.mark.parametrize("mode", ["corner", "constant", "slow"])
+def test_the_anchor_holds_the_true_place(mode: str) -> None:
+    """The map's place on Earth is inside the anchor, and centimetre GPS narrows it once the robot has driven."""
+    world = World(5, mode=mode, script="straight", seconds=14.0)
+    anchor = follow(world).filter.anchor
+    assert anchor is not None
+    lat, lon, alt = pymap3d.enu2geodetic(*world.place[:3], *HOME)
+    enu = pymap3d.geodetic2enu(lat, lon, alt, anchor.origin_lat_deg, anchor.origin_lon_deg, anchor.origin_alt_m)
+    assert np.all(anchor.low[:3] - 1e-5 <= enu)
+    assert np.all(enu <= anchor.high[:3] + 1e-5)
+    turns = np.round((anchor.low[3] - world.place[3]) / (2 * pi)) * 2 * pi
+    yaw = world.place[3] + turns
+    assert any(anchor.low[3] <= yaw + k * 2 * pi <= anchor.high[3] for k in (-1, 0, 1))
+    assert np.max(anchor.high[:2] - anchor.low[:2]) < 0.3
+    assert anchor.high[3] - anchor.low[3] < 0.2
+
+
+def test_a_drive_with_centimetre_gps_stays_tight() -> None:
+    """After 8 m: a few decimetres across, less along, tilt well under a degree, yaw a few degrees (half-widths)."""
+    width = follow(World(5, mode="uniform", script="straight", seconds=13.0)).width
+    assert width[0] < 0.2
+    assert width[1] < 0.45
+    assert width[2] < 0.15
+    assert np.degrees(width[3:5]).max() < 0.5
+    assert np.degrees(width[5]) < 3.0
+
+
+def test_a_stretch_of_time_holds_the_whole_way() -> None:
+    """The box of a stretch contains the pose at each of its instants, and a stretch within it never has a wider box."""
+    world = World(8, seconds=5.0, mode="slow")
+    pose = follow(world).filter
+    assert pose.oldest_ns is not None
+    assert pose.horizon_ns is not None
+    random = np.random.default_rng(0)
+    ends = np.sort(random.integers(pose.oldest_ns, pose.horizon_ns, (300, 2)), axis=1)
+    low, high = np.empty((300, 6)), np.empty((300, 6))
+    assert pose.poses_over(ends[:, 0].copy(), ends[:, 1].copy(), low, high)
+    for k in range(300):
+        during = world.pose[(world.time_ns >= ends[k, 0]) & (world.time_ns <= ends[k, 1])]
+        assert np.all(low[k] - 1e-10 <= during)
+        assert np.all(during <= high[k] + 1e-10)
+        inner = pose.pose_over(int(ends[k].mean()), int(ends[k].mean()))
+        assert inner is not None
+        assert np.all(low[k] <= inner.low)
+        assert np.all(inner.high <= high[k])
+
+
+def test_what_is_too_old_or_not_yet_known_is_refused() -> None:
+    """Outside of [oldest, horizon] there is no pose: False, NaN, counted."""
+    short = FilterConfig(history_s=0.5)
+    pose = follow(World(2, seconds=45.0, script="stand", gps=False, accelerometers=False), config=short).filter
+    assert pose.oldest_ns is not None
+    assert pose.horizon_ns is not None
+    assert pose.horizon_ns - pose.oldest_ns < 30_000_000_000
+    for begin, end in [(pose.oldest_ns - 1, pose.oldest_ns), (pose.horizon_ns, pose.horizon_ns + 1), (10, 20)]:
+        assert pose.pose_over(begin, end) is None
+    assert pose.counts["poses_refused"] == 3
+    assert pose.pose_over(pose.oldest_ns, pose.horizon_ns) is not None
+    newest = pose.latest()
+    assert newest is not None
+    assert newest.latest_ns == pose.horizon_ns
+
+
+def test_nothing_is_claimed_before_the_tilt_is_known() -> None:
+    """With ticks and a gyro alone there is no map frame yet."""
+    world = World(2, seconds=1.0, tilt=False, accelerometers=False, gps=False)
+    pose = Filter(ROBOT, CONFIG, ENCODERS, IMU, None)
+    for sample in world.samples:
+        pose.accept(sample)
+    assert pose.horizon_ns is None
+    assert pose.oldest_ns is None
+    assert pose.latest() is None
+    assert pose.anchor is None
+    assert pose.pose_over(10_000_000_000, 10_000_000_000) is None
+
+
+def test_samples_out_of_order_are_dropped_and_counted() -> None:
+    """A stale sample of any kind changes nothing but a count."""
+    world = World(4, seconds=4.0)
+    late = [s for s in world.samples if s.stamp.mid_ns < 12_000_000_000]
+    world.samples.extend(late)
+    outcome = follow(world)
+    assert outcome.violations == 0
+    assert outcome.filter.counts["gyro_out_of_order"] > 100
+    assert outcome.filter.counts["encoders_out_of_order"] > 100
+    assert outcome.filter.guarantee.intact
+
+
+@pytest.mark.parametrize("silence_ms", [30, 150, 900])
+def test_a_board_that_reboots_costs_width_and_nothing_else(silence_ms: int) -> None:
+    """Device times of another epoch are never subtracted; the silence is bridged by what the robot can do."""
+    world = World(6, seconds=6.0, mode="mixed", script="wander")
+    begin, end = 13_000_000_000, 13_000_000_000 + silence_ms * 1_000_000
+    kept: list[WheelTicks | InertialSample | Fix] = []
+    for sample in world.samples:
+        if isinstance(sample, InertialSample) and sample.stamp.mid_ns > begin:
+            if sample.stamp.mid_ns > end and sample.device_time_us is not None:
+                kept.append(replace(sample, device_time_us=sample.device_time_us - 9_000_000, epoch=1))
+        else:
+            kept.append(sample)
+    world.samples = kept
+    outcome = follow(world, modulo_turns=silence_ms > 500)
+    assert outcome.violations == 0
+    assert outcome.filter.guarantee.intact
+    assert np.isfinite(outcome.width).all()
+
+
+def test_a_counter_that_restarts_costs_width_and_nothing_else() -> None:
+    """Counts of another epoch are never subtracted."""
+    world = World(7, seconds=5.0, mode="mixed")
+    world.samples = [
+        replace(s, left=s.left - 5000, right=s.right + 70, epoch=1)
+        if isinstance(s, WheelTicks) and s.stamp.mid_ns > 13_000_000_000
+        else s
+        for s in world.samples
+    ]
+    outcome = follow(world)
+    assert outcome.violations == 0
+    assert outcome.filter.guarantee.intact
+
+
+def test_a_robot_that_stands_learns_its_gyro_bias() -> None:
+    """After standing, yaw grows by the noise alone, not by the bias bound."""
+    standing = follow(World(9, script="stand", seconds=8.0, gps=False, mode="constant"))
+    never = follow(
+        World(9, script="stand", seconds=8.0, gps=False, mode="constant"), config=FilterConfig(standstill_s=None)
+    )
+    assert standing.violations == never.violations == 0
+    assert standing.width[5] < 0.6 * never.width[5]

@@ -1,0 +1,183 @@
+"""One-step enclosures against brute force: corners, and rates that turn round inside the step."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from estimator.frames import forward_axis, left_axis, up_axis
+from estimator.motion import GyroBounds, TrackBounds, excursion, rotate, travel, turn, variation
+
+STEPS = 400
+"""Substeps of the brute-force integration."""
+ALPHA = 7.0
+GYRO = GyroBounds(noise=2e-3, scale=0.004, most_rate=1.6, most_acceleration=ALPHA)
+TRACKS = TrackBounds(
+    slip=0.03,
+    lateral=0.01,
+    turning_centre=0.04,
+    normal=0.01,
+    quantum_left=0.001,
+    quantum_right=0.001,
+    most_speed=1.2,
+    most_acceleration=1.0,
+    most_track_acceleration=1.0 + 0.175 * ALPHA,
+)
+
+
+def euler_rates(a: NDArray[np.float64], w: NDArray[np.float64]) -> NDArray[np.float64]:
+    """SMF equation 1 for k trials at once; a, w [k, 3]."""
+    sf, cf, t, c = np.sin(a[:, 0]), np.cos(a[:, 0]), np.tan(a[:, 1]), np.cos(a[:, 1])
+    sideways = w[:, 1] * sf + w[:, 2] * cf
+    return np.stack([w[:, 0] + t * sideways, w[:, 1] * cf - w[:, 2] * sf, sideways / c], axis=1)
+
+
+def profiles(random: np.random.Generator, k: int, time: float) -> NDArray[np.float64]:
+    """Rates [STEPS + 1, k, 3] within ALPHA: held at the limit, turning round, ramping, or random."""
+    t = np.linspace(0.0, time, STEPS + 1)
+    kind = random.integers(4, size=(k, 3))
+    turn_at = random.uniform(0.0, time, (k, 3))
+    sign = random.choice([-1.0, 1.0], (k, 3))
+    held = random.uniform(-1.5, 1.5, (k, 3))
+    ramp = sign * ALPHA * (t[:, None, None] - turn_at)
+    rates = np.where(kind == 0, held, np.where(kind == 1, ramp, np.where(kind == 2, np.abs(ramp) * sign, 0.5 * ramp)))
+    return np.asarray(np.clip(rates, -1.6, 1.6))
+
+
+def attitudes(start: NDArray[np.float64], w: NDArray[np.float64], time: float) -> NDArray[np.float64]:
+    """[STEPS + 1, k, 3] by the midpoint rule on the fine grid."""
+    path = np.empty((STEPS + 1, *start.shape))
+    path[0] = start
+    h = time / STEPS
+    for i in range(STEPS):
+        middle = 0.5 * (w[i] + w[i + 1])
+        half = path[i] + 0.5 * h * euler_rates(path[i], w[i])
+        path[i + 1] = path[i] + h * euler_rates(half, middle)
+    return path
+
+
+def random_box(random: np.random.Generator, steep: float) -> NDArray[np.float64]:
+    """[3, 2] some roll, pitch, yaw with widths from nothing to a few degrees."""
+    centre = np.append(random.uniform(-steep, steep, 2), random.uniform(-9.0, 9.0))
+    half = 10.0 ** random.uniform(-8, -1, 3)
+    return np.stack([centre - half, centre + half], axis=1)
+
+
+@pytest.mark.parametrize("time", [0.005, 0.02, 0.1])
+def test_a_turn_encloses_whatever_the_rates_do_inside_the_step(time: float) -> None:
+    """Ends are in the new box and the way there within the swing of the two, from the corners of the old one."""
+    random = np.random.default_rng(int(time * 1000))
+    nearest = 0.0
+    for _ in range(60):
+        box = random_box(random, 0.6)
+        corners = random.choice([0, 1], (40, 3))
+        start = box[np.arange(3), corners]
+        w = profiles(random, 40, time)
+        path = attitudes(start, w, time)
+        area = np.sum(0.5 * (w[1:] + w[:-1]), axis=0) * time / STEPS
+        for k in range(40):
+            turned, varied, swing, after = np.empty((3, 2)), np.empty(3), np.empty(3), box.copy()
+            for axis in range(3):
+                error = random.uniform(0.0, 1e-3)
+                low = area[k, axis] - random.choice([0.0, 1.0]) * error
+                turned[axis] = low - 1e-12, low + error + 1e-12
+                varied[axis] = variation((turned[axis, 0], turned[axis, 1]), 0.0, ALPHA, time)
+            assert turn(after, turned, varied, swing)
+            assert np.all(after[:, 0] <= path[-1, k] + 1e-9)
+            assert np.all(path[-1, k] - 1e-9 <= after[:, 1])
+            low, high = np.minimum(path[0, k], path[-1, k]), np.maximum(path[0, k], path[-1, k])
+            beyond = np.maximum(low - path[:, k].min(axis=0), path[:, k].max(axis=0) - high)
+            assert np.all(beyond <= swing + 1e-9)
+            half = 0.5 * (after[:, 1] - after[:, 0])
+            nearest = max(nearest, float(np.max(np.abs(path[-1, k] - after.mean(axis=1)) / half)))
+    assert nearest > 0.9  # the enclosure is not idle
+
+
+def test_a_bound_of_half_the_variation_is_caught() -> None:
+    """The same comparison fails when the term for rates that change their sign is left out."""
+    random = np.random.default_rng(1)
+    time, outside = 0.1, 0
+    w = profiles(random, 400, time)
+    area = np.sum(0.5 * (w[1:] + w[:-1]), axis=0) * time / STEPS
+    absolute = np.sum(np.abs(0.5 * (w[1:] + w[:-1])), axis=0) * time / STEPS
+    for net, true in zip(area.ravel(), absolute.ravel(), strict=True):
+        assert true <= variation((net, net), 0.0, ALPHA, time) + 1e-9
+        outside += true > variation((net, net), 0.0, 0.0, time) + 1e-9
+    assert outside > 100
+
+
+def test_excursions_are_never_exceeded() -> None:
+    """No path whose rates vary by no more than stated leaves the box by more than the excursion."""
+    random = np.random.default_rng(4)
+    for _ in range(40):
+        box = random_box(random, 0.7)
+        w = profiles(random, 50, 0.15)
+        varied = np.sum(np.abs(0.5 * (w[1:] + w[:-1])), axis=0) * 0.15 / STEPS
+        start = box[np.arange(3), random.choice([0, 1], (50, 3))]
+        path = attitudes(start, w, 0.15)
+        for k in range(50):
+            out = np.empty(3)
+            if excursion((box[0, 0], box[0, 1]), (box[1, 0], box[1, 1]), varied[k] + 1e-9, out):
+                assert np.all(np.abs(path[:, k] - start[k]).max(axis=0) <= out + 1e-9)
+
+
+def test_an_attitude_too_steep_for_euler_rates_is_refused() -> None:
+    """Near the gimbal lock the step says so instead of giving a wrong box."""
+    box = np.array([[-0.1, 0.1], [1.3, 1.45], [0.0, 0.0]])
+    assert not turn(box, np.zeros((3, 2)), np.full(3, 0.01), np.empty(3))
+
+
+def test_the_mean_rate_is_enclosed_for_all_errors_at_their_corners() -> None:
+    """true = (measured - bias - noise) / (1 + scale) is inside, and an absent axis is anything up to the fastest."""
+    random = np.random.default_rng(2)
+    for _ in range(2000):
+        true = random.uniform(-1.6, 1.6, 3)
+        bias = random.uniform(-0.01, 0.01, 3)
+        box = np.stack([bias - random.uniform(0, 1e-3, 3), bias + random.uniform(0, 1e-3, 3)], axis=1)
+        noise, scale = random.choice([-1, 1], 3) * GYRO.noise, random.choice([-1, 1], 3) * GYRO.scale
+        measured = true * (1 + scale) + bias + noise
+        measured[0] = np.nan
+        turned, varied = np.empty((3, 2)), np.empty(3)
+        assert rotate(measured, box, 0.005, 0.0051, False, GYRO, turned, varied)
+        for time in (0.005, 0.0051):
+            assert np.all(turned[:, 0] <= true * time)
+            assert np.all(true * time <= turned[:, 1])
+            assert np.all(np.abs(true) * time <= varied)
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+def test_travel_encloses_drives_with_slip_and_quantised_counts(reverse: bool) -> None:
+    """Sums of many steps hold the truth though the count's quantum is paid once, not at every step."""
+    random = np.random.default_rng(3)
+    time, count = 0.01, 60
+    half = 10.0 ** random.uniform(-6, -2, (200, 3))
+    widths = []
+    for trial in range(200):
+        sign = random.choice([-1.0, 1.0], 6)
+        core, axis, pending = np.zeros((3, 2)), np.zeros(3), np.zeros(3)
+        net, swing, true, track = np.empty((3, 2)), np.empty(3), np.zeros(3), np.zeros(2)
+        phase = random.random(2)
+        counts = np.floor(track / 0.001 + phase)
+        attitude = np.append(random.uniform(-0.4, 0.4, 2), random.uniform(-3, 3))
+        for k in range(count):
+            v = 0.8 * (-1.0 if reverse and k >= count // 2 else 1.0) * random.uniform(0.5, 1.0)
+            attitude = attitude + random.uniform(-0.01, 0.01, 3)
+            wz = 0.5 * sign[3]
+            centre = attitude + random.choice([-1.0, 1.0], 3) * half[trial]
+            box = np.stack([centre - half[trial], centre + half[trial]], axis=1)
+            roll, pitch, yaw = (float(a) for a in attitude)
+            frame = ((roll, roll), (pitch, pitch), (yaw, yaw))
+            ahead, left, above = (np.array(f(frame))[:, 0] for f in (forward_axis, left_axis, up_axis))
+            lateral = sign[0] * (TRACKS.lateral * abs(v) + TRACKS.turning_centre * abs(wz))
+            true = true + time * (v * ahead + lateral * left + sign[1] * TRACKS.normal * abs(v) * above)
+            track = track + time * np.array([v - 0.1, v + 0.1]) / (1.0 + TRACKS.slip * sign[4:6])
+            after = np.floor(track / 0.001 + phase)
+            left_m, right_m = (after - counts) * 0.001
+            counts = after
+            assert travel(
+                box, left_m, right_m, True, time, abs(wz) * time, abs(wz) * time, TRACKS, axis, k == 0, core, net,
+                swing, pending,
+            )  # fmt: skip
+            assert np.all(core[:, 0] - pending <= true + 1e-9)
+            assert np.all(true <= core[:, 1] + pending + 1e-9)
+        widths.append(np.max(core[:, 1] - core[:, 0]))
+    assert np.median(widths) < count * 0.002  # a quantum at every step would cost as much alone
