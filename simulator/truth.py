@@ -43,7 +43,7 @@ class Truth:
         path = Path(path)
         draft = path.with_name(path.name + ".new")
         with draft.open("wb") as file:
-            np.savez_compressed(
+            np.savez(
                 file,
                 pose_time_ns=self.pose_time_ns,
                 pose=self.pose,

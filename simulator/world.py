@@ -13,7 +13,7 @@ Times are true nanoseconds on the host's clock; the drive begins when `begin_dri
 stands still.
 """
 
-from math import cos, inf, isinf, radians, sin
+from math import cos, isinf, radians, sin
 
 import numpy as np
 import pymap3d
@@ -56,7 +56,7 @@ class World:
         duration_s: float,
         origin: tuple[float, float, float] = (48.2, 11.6, 520.0),
     ) -> None:
-        """Plan the drive (`duration_s`, standstill included). `origin`: WGS-84 latitude, longitude, height of (0,0,0)."""
+        """Plan the drive of `duration_s`, standstill included; `origin` is the WGS-84 place of the world's origin."""
         self.terrain = terrain
         self.devices = devices
         self.law = law
@@ -332,9 +332,7 @@ def _shoot(
                 directions[i, 0], directions[i, 1], directions[i, 2] = wx, wy, wz
     cast_rays(heights, x0, y0, cell, boxes, origins, directions, range_max, ranges)
     for i in range(count):
-        if isinf(ranges[i]):
-            hits[i, :] = inf
-            continue
         for axis in range(3):
             hits[i, axis] = origins[i, axis] + ranges[i] * directions[i, axis]
-        ranges[i] = max(ranges[i] + range_bound * draw(law, range_key, since_start_ns[i]), 0.0)
+        if not isinf(ranges[i]):
+            ranges[i] = max(ranges[i] + range_bound * draw(law, range_key, since_start_ns[i]), 0.0)
