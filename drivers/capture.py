@@ -16,8 +16,8 @@ from typing import IO
 
 import zstandard
 from mcap.exceptions import McapError
-from mcap.records import Channel, McapRecord, Message, Metadata
-from mcap.stream_reader import StreamReader
+from mcap.records import Channel, Chunk, McapRecord, Message, Metadata
+from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 from drivers.errors import CaptureError
@@ -162,9 +162,14 @@ class Capture:
                         yield RawChunk(device, record.data, record.publish_time)
 
     def _whole_records(self, file: IO[bytes]) -> Iterator[McapRecord]:
-        reader = StreamReader(file, validate_crcs=True, record_size_limit=_RECORD_LIMIT_BYTES)
+        reader = StreamReader(file, emit_chunks=True, record_size_limit=_RECORD_LIMIT_BYTES)
         try:
-            yield from reader.records
+            for record in reader.records:
+                if isinstance(record, Chunk):
+                    _refuse_bomb(record)
+                    yield from breakup_chunk(record, validate_crc=True)
+                else:
+                    yield record
         except _DAMAGE:
             self.truncated = True
 
@@ -191,6 +196,17 @@ def read_capture(path: Path | str) -> Capture:
             f"{path}: can't be read ({error.strerror}); check the file's name and permissions"
         ) from error
     return Capture(path, config_text, truncated=not whole)
+
+
+def _refuse_bomb(chunk: Chunk) -> None:
+    """A few kilobytes can unpack to gigabytes: what a compressed chunk says of its own size decides, not the record."""
+    size = chunk.uncompressed_size
+    if chunk.compression == "zstd":
+        size = max(size, zstandard.frame_content_size(chunk.data))
+    elif chunk.compression:
+        raise ValueError(f"compression {chunk.compression!r} is not ours")
+    if size > _RECORD_LIMIT_BYTES:
+        raise ValueError(f"a chunk of {size} bytes")
 
 
 def _config_text(file: IO[bytes]) -> str:

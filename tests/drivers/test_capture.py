@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from drivers.capture import CaptureWriter, RawChunk, read_capture
 from drivers.errors import CaptureError
@@ -96,6 +97,22 @@ def test_damage_inside_stops_the_replay_there(tmp_path: Path) -> None:
     got = list(capture)
     assert got == chunks[: len(got)]
     assert 0 < len(got) < len(chunks)
+    assert capture.truncated
+
+
+def test_a_chunk_that_would_fill_the_memory_is_damage(tmp_path: Path) -> None:
+    """A small file that unpacks to 100 MB is not unpacked; what stands before it is replayed."""
+    with (tmp_path / "bomb.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel("/raw/imu", "application/octet-stream", 0)
+        writer.add_message(channel, 1, b"good", 1)
+        writer.flush()  # type: ignore[no-untyped-call]
+        writer.add_message(channel, 2, bytes(100_000_000), 2)
+        writer.finish()  # type: ignore[no-untyped-call]
+    assert (tmp_path / "bomb.mcap").stat().st_size < 100_000
+    capture = read_capture(tmp_path / "bomb.mcap")
+    assert [chunk.data for chunk in capture] == [b"good"]
     assert capture.truncated
 
 

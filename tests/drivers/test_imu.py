@@ -231,6 +231,15 @@ def test_a_reboot_of_the_board_begins_a_new_epoch() -> None:
     assert [s.epoch for s in host.receive_data(late, 1205 * MS)] == [3]
 
 
+def test_a_reboot_after_a_short_life_is_seen_too() -> None:
+    """The board's clock went back by less than the second that may pass unnoticed."""
+    device, host = board(), protocol()
+    host.receive_data(device.data_to_send(50 * MS), 50 * MS)
+    device.reboot(51 * MS)
+    assert {s.epoch for s in host.receive_data(device.data_to_send(70 * MS), 70 * MS)} == {1}
+    assert host.counts["reboots"] == 1
+
+
 def test_another_component_with_its_own_clock_is_left_out() -> None:
     """Samples of two clocks are never mixed."""
     host = protocol()
