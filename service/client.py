@@ -312,6 +312,8 @@ class RemoteMap:
         except (MalformedMessage, TileFormatError):
             with self._changed:
                 self.counts["malformed"] += 1
+        with self._changed:
+            self._changed.notify_all()
 
     def _take_topic(self, name: str, payload: bytes) -> None:
         """Pose, anchor, health, info or digest."""
@@ -330,8 +332,8 @@ class RemoteMap:
         else:
             self.counts["unknown_topic"] += 1
 
-    def _take_tile(self, key: str, sample: zenoh.Sample, now_ns: int) -> Tile:
-        """Join a tile or a delta; returns it as it came."""
+    def _take_tile(self, key: str, sample: zenoh.Sample, now_ns: int) -> None:
+        """Join a tile or a delta."""
         tile, note = self._read_tile(key, sample)
         with self._changed:
             self._enter_epoch(note.epoch)
@@ -339,8 +341,6 @@ class RemoteMap:
             if note.released_ns is not None:
                 self._latencies_ns.append(now_ns - note.released_ns)
             self._join(tile)
-            self._changed.notify_all()
-        return tile
 
     def _read_tile(self, key: str, sample: zenoh.Sample) -> tuple[Tile, TileNote]:
         """A tile and its note, if key, payload and attachment fit together."""
