@@ -16,7 +16,7 @@ from drivers.samples import Scan
 from mapper import kernel
 from mapper.config import MapConfig
 from mapper.grid import TILE_SIDE, tile_indices
-from mapper.projection import P_SIZE, W_ROWS, Floats, beam_table, laser_geometry
+from mapper.projection import B_SIZE, P_SIZE, W_ROWS, Floats, beam_table, laser_geometry
 from mapper.tile import Tile
 
 _FIRST_TILES = 64
@@ -56,6 +56,7 @@ class ElevationMap:
         self._fates = np.zeros(kernel.COUNTS, np.int64)
         self._work = np.zeros((W_ROWS, 4))
         self._poses = np.empty((0, P_SIZE))
+        self._block = np.empty(B_SIZE)
         self._beam_angles = (0, 0.0, 0.0)
         self._cosines, self._sines = np.empty(0), np.empty(0)
         self._pool = _unseen_pool(0)
@@ -152,7 +153,7 @@ class ElevationMap:
             done = kernel.insert_beams(
                 done, ranges, self._cosines, self._sines, pose_index, low, high,
                 self._geometry, self.config.resolution_m, self.config.max_footprint_m, self.config.max_tiles,
-                self._work, self._poses,
+                self._work, self._poses, self._block,
                 self._count, self._table, self._keys, self._dirty, self._pool, self._fates,
             )
             # fmt: on

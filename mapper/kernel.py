@@ -10,7 +10,20 @@ from numpy.typing import NDArray
 
 from drivers.compiled import compiled
 from mapper.grid import CELL_LIMIT, TILE_CELLS, TILE_SHIFT, TILE_SIDE, tile_key
-from mapper.projection import G_RANGE_MAX, G_RANGE_MIN, P_USABLE, Floats, beam_box, prepare_pose
+from mapper.projection import (
+    B_CENTRE,
+    B_HALF,
+    LANES,
+    P_USABLE,
+    Floats,
+    box_block,
+    prepare_pose,
+    run_length,
+    usable_range,
+)
+
+B_X, B_Y, B_Z = B_CENTRE, B_CENTRE + LANES, B_CENTRE + 2 * LANES
+B_DX, B_DY, B_DZ = B_HALF, B_HALF + LANES, B_HALF + 2 * LANES
 
 Cells = NDArray[np.float32]
 Indices = NDArray[np.int32]
@@ -121,6 +134,7 @@ def insert_beams(
     max_tiles: int,
     work: Floats,
     poses: Floats,
+    block: Floats,
     count: Counts,
     table: Indices,
     keys: Keys,
@@ -130,25 +144,29 @@ def insert_beams(
 ) -> int:
     """Take beams from `first` on; return the number of the beam that needs a larger pool, or n when all are done.
 
-    ranges, cosines, sines, pose_index [n]; pose_low, pose_high [m, 6]; poses [>= m, P_SIZE] and work are scratch;
+    ranges, cosines, sines, pose_index [n]; pose_low, pose_high [m, 6]; poses [>= m, P_SIZE], work, block: scratch;
     count [1] tiles in use; table the hash; keys, dirty, pool one row a tile; counts [COUNTS] is added to.
     """
     beams, inverse = ranges.size, 1.0 / resolution_m
     for m in range(pose_low.shape[0]):
         prepare_pose(pose_low[m], pose_high[m], geometry, work, poses[m])
-    box = work[0:2].reshape(8)
     last_key, last_tile = np.uint64(0), np.int64(-1)
 
+    block_first, block_end = first, first
     for n in range(first, beams):
-        r, m = ranges[n], pose_index[n]
-        if not geometry[G_RANGE_MIN] <= r <= geometry[G_RANGE_MAX]:  # NaN and infinity too
+        if not usable_range(ranges[n], geometry):
             counts[NO_RANGE] += 1
             continue
+        m = pose_index[n]
         if m < 0 or m >= pose_low.shape[0] or poses[m, P_USABLE] != 1.0:
             counts[NO_POSE] += 1
             continue
-        beam_box(poses[m], r, cosines[n], sines[n], box)
-        x, y, z, dx, dy, dz = box[0], box[1], box[2], box[3], box[4], box[5]
+        if n >= block_end:
+            block_first, block_end = n, n + run_length(n, pose_index)
+            box_block(poses[m], geometry, n, block_end - n, ranges, cosines, sines, block)
+        lane = n - block_first
+        x, y, z = block[B_X + lane], block[B_Y + lane], block[B_Z + lane]
+        dx, dy, dz = block[B_DX + lane], block[B_DY + lane], block[B_DZ + lane]
         if not (2.0 * dx <= max_footprint_m and 2.0 * dy <= max_footprint_m):
             counts[TOO_WIDE] += 1
             continue

@@ -70,6 +70,18 @@ W_R = 7
 W_M = 10
 W_ROWS = 13
 
+# Boxes of up to LANES beams: rows of LANES numbers.
+LANES = 64
+B_CENTRE = 0  # x, y, z
+B_HALF = 3 * LANES  # x, y, z
+B_U = 6 * LANES  # |u|: x, y, z
+B_R = 9 * LANES
+B_C = 10 * LANES
+B_S = 11 * LANES
+B_RC = 12 * LANES
+B_RS = 13 * LANES
+B_SIZE = 14 * LANES
+
 
 def laser_geometry(laser: LaserConfig) -> Floats:
     """The mounting and the bounds of a laser, in metres and radians, bounds rounded up."""
@@ -209,24 +221,57 @@ def prepare_pose(low: Floats, high: Floats, geometry: Floats, work: Floats, out:
 
 
 @compiled
-def beam_box(pose: Floats, r: float, c: float, s: float, box: Floats) -> None:
-    """Centre [0:3] and half-widths [3:6] of the point hit at range r, at the angle with cosine c and sine s."""
-    rc, rs = r * c, r * s
-    ux = abs(c * pose[P_U_COS] + s * pose[P_U_SIN])
-    uy = abs(c * pose[P_U_COS + 1] + s * pose[P_U_SIN + 1])
-    uz = abs(c * pose[P_U_COS + 2] + s * pose[P_U_SIN + 2])
+def box_block(
+    pose: Floats, geometry: Floats, first: int, count: int, ranges: Floats, cosines: Floats, sines: Floats, out: Floats
+) -> None:
+    """Boxes of `count` <= LANES beams from `first` on, all of one pose: centres and half-widths into `out` [B_SIZE].
+
+    Lane j of the row B_X is out[B_X + j]. Each inner loop runs over the lanes, so that the compiler makes it vector
+    instructions. A lane without a usable range holds the box of range zero: nobody reads it.
+    """
+    for j in range(count):
+        n = first + j
+        r = ranges[n] if usable_range(ranges[n], geometry) else 0.0
+        out[B_R + j], out[B_C + j], out[B_S + j] = r, cosines[n], sines[n]
+        out[B_RC + j], out[B_RS + j] = r * cosines[n], r * sines[n]
     for i in range(3):
-        box[i] = pose[P_CENTRE + i] + (rc * pose[P_U_COS + i] + rs * pose[P_U_SIN + i])
-        half = pose[P_CONSTANT + i] + r * pose[P_PER_METRE + i]
+        origin, along_c, along_s = pose[P_CENTRE + i], pose[P_U_COS + i], pose[P_U_SIN + i]
+        for j in range(count):
+            out[B_CENTRE + i * LANES + j] = origin + (out[B_RC + j] * along_c + out[B_RS + j] * along_s)
+        for j in range(count):
+            out[B_U + i * LANES + j] = abs(out[B_C + j] * along_c + out[B_S + j] * along_s)
+    for i in range(3):
+        half = B_HALF + i * LANES
+        constant, per_metre = pose[P_CONSTANT + i], pose[P_PER_METRE + i]
+        for j in range(count):
+            out[half + j] = constant + out[B_R + j] * per_metre
+        for k in range(7):
+            lever = pose[P_LEVER + 3 * k + i] if k < 3 else 0.0
+            along_c, along_s = pose[P_W_COS + 3 * k + i], pose[P_W_SIN + 3 * k + i]
+            for j in range(count):
+                out[half + j] += abs(lever + (out[B_RC + j] * along_c + out[B_RS + j] * along_s))
         for k in range(3):
-            turned = rc * pose[P_W_COS + 3 * k + i] + rs * pose[P_W_SIN + 3 * k + i]
-            half += abs(pose[P_LEVER + 3 * k + i] + turned)
-        for k in range(3, 7):
-            half += abs(rc * pose[P_W_COS + 3 * k + i] + rs * pose[P_W_SIN + 3 * k + i])
-        half += (r * pose[P_TURN_TURN + 3 * i] + pose[P_TURN_RANGE + 3 * i]) * ux
-        half += (r * pose[P_TURN_TURN + 3 * i + 1] + pose[P_TURN_RANGE + 3 * i + 1]) * uy
-        half += (r * pose[P_TURN_TURN + 3 * i + 2] + pose[P_TURN_RANGE + 3 * i + 2]) * uz
-        box[3 + i] = half * GROW
+            turn_turn, turn_range = pose[P_TURN_TURN + 3 * i + k], pose[P_TURN_RANGE + 3 * i + k]
+            for j in range(count):
+                out[half + j] += (out[B_R + j] * turn_turn + turn_range) * out[B_U + k * LANES + j]
+        for j in range(count):
+            out[half + j] *= GROW
+
+
+@compiled
+def run_length(first: int, pose_index: NDArray[np.int32]) -> int:
+    """How many beams from `first` on, at most LANES, were shot from the same pose."""
+    end = min(first + LANES, pose_index.size)
+    n = first + 1
+    while n < end and pose_index[n] == pose_index[first]:
+        n += 1
+    return n - first
+
+
+@compiled
+def usable_range(r: float, geometry: Floats) -> bool:
+    """False for NaN and infinities too."""
+    return geometry[G_RANGE_MIN] <= r and r <= geometry[G_RANGE_MAX]  # type: ignore[no-any-return]
 
 
 @compiled
@@ -246,18 +291,19 @@ def project_beams(
     """Fill [n, 3] low and high with the box of every usable beam, NaN elsewhere."""
     for m in range(pose_low.shape[0]):
         prepare_pose(pose_low[m], pose_high[m], geometry, work, poses[m])
-    box = np.empty(6)
-    for n in range(ranges.size):
-        m = pose_index[n]
-        inside = geometry[G_RANGE_MIN] <= ranges[n] <= geometry[G_RANGE_MAX]  # False for NaN
-        if inside and 0 <= m < pose_low.shape[0] and poses[m, P_USABLE] == 1.0:
-            beam_box(poses[m], ranges[n], cosines[n], sines[n], box)
-            for i in range(3):
-                low[n, i] = box[i] - box[3 + i]
-                high[n, i] = box[i] + box[3 + i]
-        else:
-            for i in range(3):
-                low[n, i] = high[n, i] = np.nan
+    block = np.empty(B_SIZE)
+    low[:], high[:] = np.nan, np.nan
+    first = 0
+    while first < ranges.size:
+        m, count = pose_index[first], run_length(first, pose_index)
+        if 0 <= m < pose_low.shape[0] and poses[m, P_USABLE] == 1.0:
+            box_block(poses[m], geometry, first, count, ranges, cosines, sines, block)
+            for j in range(count):
+                if usable_range(ranges[first + j], geometry):
+                    for i in range(3):
+                        centre, half = block[B_CENTRE + i * LANES + j], block[B_HALF + i * LANES + j]
+                        low[first + j, i], high[first + j, i] = centre - half, centre + half
+        first += count
 
 
 @dataclass(frozen=True, slots=True, eq=False)
