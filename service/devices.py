@@ -3,8 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from drivers.errors import ConfigurationError
 from drivers.gps_nmea.protocol import GpsProtocol
-
 from drivers.imu.protocol import ImuProtocol
 from drivers.protocol import DeviceProtocol
 from drivers.samples import Sample
@@ -32,7 +32,7 @@ def wiring(loaded: LoadedConfig) -> tuple[Device, ...]:
     """The table of devices. Raises ConfigurationError where the encoders' DBC file can't be used."""
     devices = loaded.config.devices
     laser, encoders, imu, gps = devices.laser, devices.encoders, devices.imu, devices.gps
-    dbc = loaded.path(encoders.dbc)
+    dbc_text = _dbc_text(loaded)
     framed = encoders.interface == "socketcan"
     encoder_port = encoders.port if framed else _port(loaded, encoders.port)
     table = [
@@ -42,7 +42,7 @@ def wiring(loaded: LoadedConfig) -> tuple[Device, ...]:
             (lambda: open_socketcan(encoder_port, encoders.bitrate))
             if framed
             else (lambda: open_serial(encoder_port, 115200)),
-            lambda: TrackEncoderProtocol(encoders, dbc),
+            lambda: TrackEncoderProtocol(encoders, dbc_text),
             stale_after_s=0.1,
             can_frames=framed,
         ),
@@ -57,6 +57,17 @@ def wiring(loaded: LoadedConfig) -> tuple[Device, ...]:
 def can_frames(devices: tuple[Device, ...]) -> tuple[str, ...]:
     """Names of the devices whose captures hold CAN frames."""
     return tuple(device.name for device in devices if device.can_frames)
+
+
+def _dbc_text(loaded: LoadedConfig) -> str:
+    """The DBC file of the encoders."""
+    path = loaded.path(loaded.config.devices.encoders.dbc)
+    try:
+        return path.read_text(encoding="cp1252")
+    except OSError as error:
+        raise ConfigurationError(
+            f"devices.encoders.dbc: {path}: cannot be read ({error.strerror}); name the DBC file of the track encoders"
+        ) from None
 
 
 def _serial(

@@ -50,8 +50,7 @@ class Onboard:
         self.devices = wiring(loaded) if devices is None else devices
         self.health = Health()
         self.publisher = Publisher(config.publish, config.robot.name)
-        self.failure: BaseException | None = None
-        """What ended the pipeline thread, if anything did."""
+        self._failure: BaseException | None = None
         self._loaded = loaded
         self._capture_path = capture
         self._lockstep = lockstep
@@ -61,6 +60,11 @@ class Onboard:
         self._resources = ExitStack()
         self._readers: list[Reader] = []
         self._thread = threading.Thread(target=self._map, name="pipeline", daemon=True)
+
+    @property
+    def failure(self) -> BaseException | None:
+        """What ended one of the threads early, if anything did: the service is no longer whole."""
+        return next((r.failure for r in self._readers if r.failure is not None), self._failure)
 
     def start(self) -> None:
         """Open what must be there at once (capture file, network session), then begin to read and map.
@@ -136,7 +140,7 @@ class Onboard:
             self.pipeline.finish()
             self._offer(last=True)
         except BaseException as error:
-            self.failure = error
+            self._failure = error
 
     def _report(self) -> None:
         """Tell health what the pipeline has done."""

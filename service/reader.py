@@ -43,6 +43,8 @@ class Reader:
         health.watch(device.name, device.stale_after_s, self.protocol.counts)
         self._acknowledge = acknowledge
         self._total_bytes = 0
+        self.failure: BaseException | None = None
+        """What ended the thread, if it wasn't `stop`: a fault of ours or of the disk, never of the line."""
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"reader-{device.name}", daemon=True)
 
@@ -56,6 +58,13 @@ class Reader:
         self._thread.join()
 
     def _run(self) -> None:
+        """The thread: whatever ends it early is kept for whoever watches over the service."""
+        try:
+            self._read_until_stopped()
+        except BaseException as error:  # noqa: BLE001
+            self.failure = error
+
+    def _read_until_stopped(self) -> None:
         """Open, converse, and after a loss wait a little longer each time before trying again."""
         pause_s = FIRST_RETRY_S
         while not self._stopping.is_set():

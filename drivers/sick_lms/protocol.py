@@ -122,6 +122,13 @@ class SickLmsProtocol:
         """Do scans flow?"""
         return self._state is State.STREAMING
 
+    def connection_made(self, now_ns: int) -> None:
+        """The port was opened: find the scanner anew, from the wanted rate on."""
+        self._outbox.clear()
+        self._set_baud(self._goal.baud)
+        self._state = State.TUNING
+        self._deadline_ns = now_ns
+
     def data_to_send(self) -> bytes:
         """Bytes to write now."""
         data = bytes(self._outbox)

@@ -23,15 +23,15 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from drivers.clock import LockstepClock
 from drivers.errors import TerraboundError
-from service.commands.emulated import EmulatedRobot, Speed
+from service.commands.emulate import Law, Speed
+from service.commands.emulated import EmulatedRobot
 from service.commands.evaluation import draw_evaluation, evaluate, results_table
-from service.config import LoadedConfig, parse
+from service.config import LoadedConfig, load
 from service.messages import write_pose
 from service.onboard import Onboard
 from service.shipped import shipped_config
 
 Scene = Literal["stairs", "rough", "ramp", "flat"]
-Law = Literal["uniform", "corners", "constant", "drift", "switching"]
 
 
 def demo(
@@ -74,7 +74,9 @@ def demo(
         ports = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="terrabound-")))
         loaded = _configuration(ports)
         robot = stack.enter_context(
-            EmulatedRobot(loaded, ports, scene=scene, duration_s=duration, speed=speed, seed=seed, errors=errors)
+            EmulatedRobot(
+                ports / "demo.toml", ports, scene=scene, duration_s=duration, speed=speed, seed=seed, errors=errors
+            )
         )
         clock = LockstepClock.attach(robot.clock_path)
         stack.callback(clock.close)
@@ -118,7 +120,8 @@ def _configuration(folder: Path) -> LoadedConfig:
         probe.bind(("127.0.0.1", 0))
         free = probe.getsockname()[1]
     text = source.read_text(encoding="utf-8").replace("tcp/127.0.0.1:7447", f"tcp/127.0.0.1:{free}")
-    return parse(text, folder, source="demo.toml")
+    (folder / "demo.toml").write_text(text, encoding="utf-8")
+    return load(folder / "demo.toml")
 
 
 def _drive(robot: EmulatedRobot, onboard: Onboard, console: Console, duration_s: float) -> float:
