@@ -383,16 +383,38 @@ def test_malformed_messages_are_counted_and_change_nothing() -> None:
     with open_session("peer", listen=[address]) as rogue, RemoteMap(address) as remote:
         _token = rogue.liveliness().declare_token(robot_key("rover"))
         assert remote.wait_alive(WAIT_S)
-        publisher = rogue.declare_publisher(key)
-        matching = threading.Event()
-        publisher.declare_matching_listener(lambda status: matching.set() if status.matching else None)
-        assert publisher.matching_status or matching.wait(WAIT_S)
+        _wait_for_subscriber(rogue, key)
         rogue.put(key, payload, attachment=_note())
         for bad_key, data, note in bad:
             rogue.put(bad_key, data, attachment=note, congestion_control=zenoh.CongestionControl.BLOCK)
         with remote._changed:
             assert remote._changed.wait_for(lambda: remote.counts["malformed"] == len(bad), WAIT_S), remote.counts
         assert list(remote.tiles.values()) == [good]
+
+
+def test_tiles_of_two_runs_are_never_joined_not_even_for_a_moment() -> None:
+    """The first tile of another epoch makes the copy begin anew, before any digest has come."""
+    address = free_address()
+    first, second = Drive(seed=1).step(0).tiles, Drive(seed=2).step(0).tiles
+    with open_session("peer", listen=[address]) as robot, RemoteMap(address) as remote:
+        _token = robot.liveliness().declare_token(robot_key("rover"))
+        assert remote.wait_alive(WAIT_S)
+        _wait_for_subscriber(robot, tile_key("rover", 0, 0, 0, "full"))
+        for epoch, tiles in (("one", first), ("two", second[:1])):
+            for tile in tiles:
+                key = tile_key("rover", tile.submap, tile.ix, tile.iy, "full")
+                robot.put(key, encode(tile, "map", 0), attachment=_note(epoch))
+        with remote._changed:
+            assert remote._changed.wait_for(lambda: remote.counts["messages"] == 4, WAIT_S)
+            assert remote._changed.wait_for(lambda: remote.counts["epochs"] == 2, WAIT_S)
+        assert list(remote.tiles.values()) == [snap_outward(second[0])]
+
+
+def _wait_for_subscriber(session: zenoh.Session, key: str) -> None:
+    """Until the other side's subscription is known here: what is put before would reach nobody."""
+    publisher, matching = session.declare_publisher(key), threading.Event()
+    publisher.declare_matching_listener(lambda status: matching.set() if status.matching else None)
+    assert publisher.matching_status or matching.wait(WAIT_S)
 
 
 def test_a_flood_of_tiles_is_bounded() -> None:
