@@ -7,7 +7,9 @@ slip and v_n sinking and bouncing. Integrated by Runge-Kutta of fourth order, wi
 what an ideal gyro would integrate and the poses obey SMF equation (1) together, to about 1e-11 a step.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import cycle
 from math import atan, atan2, cos, floor, pi, sin, sqrt
 
 import numpy as np
@@ -15,7 +17,7 @@ from numpy.typing import NDArray
 
 from drivers.compiled import compiled
 from simulator.errors import ErrorLaw
-from simulator.terrain import Course, Terrain, smoothed
+from simulator.terrain import Course, Manoeuvre, Terrain, smoothed
 
 Array = NDArray[np.float64]
 
@@ -31,6 +33,9 @@ BOUNCE_LENGTH_M = 0.7
 """The body bounces with this wavelength along the path."""
 SLIP_SLOT_NS = 20_000_000
 """A track's slip ratio keeps its value this long."""
+REVERSAL_S = 0.2
+"""It also keeps its value for so long before and after a track may turn round: see `_with_slip`."""
+MANOEUVRE_RAMP_S = 0.8
 INSIDE = 1.0 - 1e-9
 """Ratios stay inside their bounds by this factor: room for rounding."""
 
@@ -139,14 +144,39 @@ def body_surface(model: RobotModel, terrain: Terrain) -> BodySurface:
     )
 
 
-def speed_profile(t_s: Array, duration_s: float, cruise_mps: float) -> Array:
-    """v(t): standstill, a smooth start, the cruise, a smooth stop, standstill. dv/dt is at most 1.9 cruise / RAMP_S."""
+def motion_profile(t_s: Array, duration_s: float, course: Course) -> tuple[Array, Array]:
+    """v(t) and the rate of spinning in place: standstill, smooth starts and stops, standstill again.
+
+    dv/dt is at most 1.9 times the cruising speed over the ramp's time.
+    """
     first = STANDSTILL_NS * 1e-9
     last = max(duration_s - FINAL_REST_S, first)
-    ramp = max(min(RAMP_S, 0.5 * (last - first)), 1e-9)
+    if not course.manoeuvres:
+        return course.cruise_mps * _pulse(t_s, first, last, RAMP_S), np.zeros_like(t_s)
+    v, spin = np.zeros_like(t_s), np.zeros_like(t_s)
+    for begin, move in _schedule(course, first, last):
+        pulse = _pulse(t_s, begin, min(begin + move.duration_s, last), MANOEUVRE_RAMP_S)
+        v += course.cruise_mps * move.speed * pulse
+        spin += move.spin_rps * pulse
+    return v, spin
+
+
+def _schedule(course: Course, first: float, last: float) -> Iterator[tuple[float, Manoeuvre]]:
+    """The course's manoeuvres and when they begin, again and again."""
+    begin = first
+    for move in cycle(course.manoeuvres):
+        if begin >= last:
+            return
+        yield begin, move
+        begin += move.duration_s
+
+
+def _pulse(t_s: Array, first: float, last: float, ramp_s: float) -> Array:
+    """From 0 smoothly to 1 after `first`, and back to 0 before `last`."""
+    ramp = max(min(ramp_s, 0.5 * (last - first)), 1e-9)
     rise = np.clip((t_s - first) / ramp, 0.0, 1.0)
     fall = np.clip((last - t_s) / ramp, 0.0, 1.0)
-    return np.asarray(cruise_mps * _smooth_step(rise) * _smooth_step(fall))
+    return _smooth_step(rise) * _smooth_step(fall)
 
 
 def _smooth_step(u: Array) -> Array:
@@ -158,7 +188,7 @@ def _drive(model: RobotModel, surface: BodySurface, course: Course, law: ErrorLa
     """Integrate one drive, then derive what the sensors feel."""
     count = round(duration_s * 1e9 / STEP_NS) + 1
     half_ns = np.arange(2 * count - 1, dtype=np.int64) * (STEP_NS // 2)
-    v = speed_profile(np.asarray(half_ns * 1e-9, np.float64), duration_s, course.cruise_mps)
+    v, spin = motion_profile(np.asarray(half_ns * 1e-9, np.float64), duration_s, course)
     side = law.channel("slip.lateral").smooth(half_ns) * model.lateral_slip_ratio * INSIDE
     centre = law.channel("slip.centre").smooth(half_ns) * model.turning_centre_m * INSIDE
     path = np.array(
@@ -178,6 +208,7 @@ def _drive(model: RobotModel, surface: BodySurface, course: Course, law: ErrorLa
         np.array([course.x_m, course.y_m, surface.height(course.x_m, course.y_m), course.heading_rad]),
         path,
         v,
+        spin,
         side,
         centre,
         model.normal_slip_ratio * INSIDE,
@@ -191,14 +222,22 @@ def _drive(model: RobotModel, surface: BodySurface, course: Course, law: ErrorLa
     force = np.einsum("nji,nj->ni", rotations(pose), force) + _gravity_in_body(pose)
     half = 0.5 * model.track_gauge_m
     ground = np.column_stack([travelled[:, 0] - half * turned[:, 2], travelled[:, 0] + half * turned[:, 2]])
-    return Drive(
-        pose, turned, rate, v[::2].copy(), travelled[:, 0], velocity, force, ground, _with_slip(model, law, ground)
-    )
+    first = STANDSTILL_NS * 1e-9
+    reversals = [begin for begin, _ in _schedule(course, first, duration_s)] if course.manoeuvres else []
+    tracks = _with_slip(model, law, ground, reversals)
+    return Drive(pose, turned, rate, v[::2].copy(), travelled[:, 0], velocity, force, ground, tracks)
 
 
-def _with_slip(model: RobotModel, law: ErrorLaw, ground: Array) -> Array:
-    """Encoder travel: |ground - encoder| <= slip_ratio * |encoder| in each step and so, driving forward, in all."""
-    slot_ns = np.arange(len(ground) - 1, dtype=np.int64) * STEP_NS // SLIP_SLOT_NS * SLIP_SLOT_NS
+def _with_slip(model: RobotModel, law: ErrorLaw, ground: Array, reversals: Sequence[float]) -> Array:
+    """Encoder travel: |ground - encoder| <= slip_ratio * |encoder| in each step and so, in one direction, in all.
+
+    A track that turns round (at one of the `reversals`, in seconds) keeps its slip meanwhile: so the bound holds also
+    for the short intervals that reach over the turn, whose travel is next to nothing.
+    """
+    t_ns = np.arange(len(ground) - 1, dtype=np.int64) * STEP_NS
+    slot_ns = t_ns // SLIP_SLOT_NS * SLIP_SLOT_NS
+    for reversal in reversals:
+        slot_ns[np.abs(t_ns * 1e-9 - reversal) <= REVERSAL_S] = round(reversal * 1e9)
     tracks = np.zeros_like(ground)
     for side, name in enumerate(("slip.left", "slip.right")):
         share = law.channel(name).over(slot_ns)
@@ -301,6 +340,7 @@ def _motion(
     path: Array,
     state: Array,
     v: float,
+    spin: float,
     side: float,
     centre: float,
     normal: float,
@@ -316,7 +356,7 @@ def _motion(
     pitch = atan(a)
     roll = -atan2(b, sqrt(1.0 + a * a))
     cp, sp, cr, sr = cos(pitch), sin(pitch), cos(roll), sin(roll)
-    yaw_rate = _curvature(path, state[0]) * v
+    yaw_rate = _curvature(path, state[0]) * v + spin
     v_n = normal * v * sin(2.0 * pi / BOUNCE_LENGTH_M * state[0])
     forward_x = cy * cp * v + (cy * sp * cr + sn * sr) * v_n
     forward_y = sn * cp * v + (sn * sp * cr - cy * sr) * v_n
@@ -351,6 +391,7 @@ def _integrate(
     start: Array,
     path: Array,
     v: Array,
+    spin: Array,
     side: Array,
     centre: Array,
     normal: float,
@@ -360,7 +401,7 @@ def _integrate(
     velocity: Array,
     travelled: Array,
 ) -> None:
-    """Runge-Kutta 4 with steps of 1 ms; v, side and centre are given every half step.
+    """Runge-Kutta 4 with steps of 1 ms; v, spin, side and centre are given every half step.
 
     Element by element: whole-array statements would make this eight times slower to compile.
     """
@@ -376,7 +417,7 @@ def _integrate(
             ahead = 0.0 if stage == 0 else (h if stage == 3 else 0.5 * h)
             for k in range(8):
                 trial[k] = state[k] + ahead * slope[k]
-            _motion(c, x0, y0, step, path, trial, v[m], side[m], centre[m], normal, slope, attitude)
+            _motion(c, x0, y0, step, path, trial, v[m], spin[m], side[m], centre[m], normal, slope, attitude)
             if stage == 0:
                 for k in range(3):
                     pose[i, k] = state[1 + k]

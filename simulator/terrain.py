@@ -14,10 +14,19 @@ from drivers.compiled import compiled
 
 Array = NDArray[np.float64]
 
-SCENES = ("flat", "ramp", "stairs", "rough", "dem")
+SCENES = ("flat", "ramp", "stairs", "rough", "yard", "dem")
 
 STEP_RISE_M = 0.14
 STEP_TREAD_M = 0.34
+
+
+@dataclass(frozen=True, slots=True)
+class Manoeuvre:
+    """A move from standstill to standstill: a share of the cruising speed (negative: reverse), or a spin in place."""
+
+    duration_s: float
+    speed: float = 0.0
+    spin_rps: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +49,8 @@ class Course:
     weave_length_m: float = 3.0
     cruise_mps: float = 0.4
     """Speed aimed at; less where the robot's limits ask for less."""
+    manoeuvres: tuple[Manoeuvre, ...] = ()
+    """Repeated without end instead of one steady drive, if there are any."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,6 +136,8 @@ def build_terrain(scene: str, seed: int = 1, source: Path | str | None = None) -
         return _stairs(seed)
     if scene == "rough":
         return _rough(seed)
+    if scene == "yard":
+        return _yard(seed)
     if scene == "dem":
         if source is None:
             raise ValueError("the scene dem needs the file of an elevation model")
@@ -164,14 +177,10 @@ def _stairs(seed: int) -> Terrain:
 
 def _rough(seed: int) -> Terrain:
     """Random rough ground, a ditch half a metre deep beside the course, walls inside and outside of it."""
-    random = np.random.default_rng(seed)
     cell, count = 0.15, 241
     low = -18.0
     x, y = np.meshgrid(low + cell * np.arange(count), low + 5.0 + cell * np.arange(count))
-    ground = np.zeros((count, count))
-    for wavelength_m, rms_m in ((4.0, 0.10), (1.2, 0.03), (0.4, 0.01)):
-        bumps = smoothed(random.standard_normal((count, count)), 0.25 * wavelength_m / cell)
-        ground += rms_m * bumps / bumps.std()
+    ground = _random_ground(seed, count, cell)
     ditch = (np.abs(x - 8.3) < 0.45) & (y > -4.0) & (y < 12.0)
     ground[ditch] -= 0.5
     boxes = np.array(
@@ -185,6 +194,39 @@ def _rough(seed: int) -> Terrain:
     )
     course = Course(0.0, 0.0, 0.0, straight_m=0.5, circle_radius_m=5.0, weave_rad=0.1, cruise_mps=0.4)
     return Terrain("rough", seed, ground, low, low + 5.0, cell, boxes, course)
+
+
+def _yard(seed: int) -> Terrain:
+    """Random rough ground between walls, where the robot stops, spins in place both ways, and reverses."""
+    cell, count, low = 0.15, 161, -12.0
+    wall = 8.0
+    boxes = np.array(
+        [
+            (-wall, -wall, -1.0, wall, -wall + 0.3, 1.0),
+            (-wall, wall - 0.3, -1.0, wall, wall, 1.0),
+            (wall - 0.3, -wall, -1.0, wall, wall, 1.0),
+        ]
+    )
+    moves = (
+        Manoeuvre(5.0, speed=1.0),
+        Manoeuvre(4.0, spin_rps=0.6),
+        Manoeuvre(4.0, speed=-0.8),
+        Manoeuvre(3.0, spin_rps=-0.8),
+        Manoeuvre(3.0, speed=-1.0),
+        Manoeuvre(4.0, spin_rps=0.7),
+    )
+    course = Course(0.0, 0.0, 2.8, straight_m=1e6, circle_radius_m=1.0, weave_rad=0.1, manoeuvres=moves)
+    return Terrain("yard", seed, _random_ground(seed, count, cell), low, low, cell, boxes, course)
+
+
+def _random_ground(seed: int, count: int, cell: float) -> Array:
+    """[count, count] heights of rough ground: waves, bumps and stones."""
+    random = np.random.default_rng(seed)
+    ground = np.zeros((count, count))
+    for wavelength_m, rms_m in ((4.0, 0.10), (1.2, 0.03), (0.4, 0.01)):
+        bumps = smoothed(random.standard_normal((count, count)), 0.25 * wavelength_m / cell)
+        ground += rms_m * bumps / bumps.std()
+    return ground
 
 
 def _dem(seed: int, path: Path) -> Terrain:

@@ -20,7 +20,7 @@ MODELS = (
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no recorded data in {DATA}; set TERRABOUND_DATA")
 
 
-@pytest.mark.parametrize("scene", ["flat", "ramp", "stairs", "rough"])
+@pytest.mark.parametrize("scene", ["flat", "ramp", "stairs", "rough", "yard"])
 def test_every_scene_has_ground_wherever_the_robot_drives(scene: str) -> None:
     """In a drive of 90 s the robot stays on the scene, never more than a step's height from its top surface."""
     terrain = build_terrain(scene)
@@ -29,7 +29,7 @@ def test_every_scene_has_ground_wherever_the_robot_drives(scene: str) -> None:
     assert np.abs(top - drive.pose[:, 2]).max() < 0.14
 
 
-@pytest.mark.parametrize("scene", ["flat", "ramp", "stairs", "rough"])
+@pytest.mark.parametrize("scene", ["flat", "ramp", "stairs", "rough", "yard"])
 def test_a_scene_repeats_by_its_seed(scene: str) -> None:
     """The same name and seed give the same ground."""
     one, two = build_terrain(scene, 7), build_terrain(scene, 7)
