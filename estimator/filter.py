@@ -13,8 +13,8 @@ the attitude chain reaches). Times are host monotonic ns and come with the sampl
 """
 
 from collections import Counter, deque
-from dataclasses import dataclass
-from math import isnan, nan, radians
+from math import isfinite, isnan, nan, radians
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +26,8 @@ from estimator.config import FilterConfig, RobotConfig
 from estimator.geodesy import TangentPlane
 from estimator.inconsistency import Contradictions
 from estimator.interval import down, hull, is_empty, meet, mig, up, widen
-from estimator.motion import QUANTUM, GyroBounds, TrackBounds, excursion, rotate, travel, turn
-from estimator.observations import GRAVITY, accelerometer_tilt, anchored, anchored_by_all, lever
+from estimator.motion import QUANTUM, GyroBounds, TrackBounds, add_effort, excursion, rotate, travel, turn
+from estimator.observations import anchored, anchored_by_all, contract_tilt, lever
 from estimator.tube import Tube, poses_between
 
 UNKNOWN_TILT = 1.5707963267948968
@@ -36,6 +36,8 @@ UNKNOWN_YAW = 3.1415926535897936
 CLOCK_STEP_US = {"HIGHRES_IMU": 1, "RAW_IMU": 1}
 """Resolution of a message's device time; the others count milliseconds."""
 MILLISECOND_US = 1000
+DONE, CONTRADICTS = 0, 1
+"""What contract_tilt says."""
 LEARNING_PACKETS = 8
 """Gyro packets until the shortest interval seen is taken for the board's period."""
 LONGEST_BRIDGE_NS = 50_000_000
@@ -49,8 +51,7 @@ REMEMBER_EVERY_M = 0.4
 STANDING_FIXES = 8
 
 
-@dataclass(frozen=True, slots=True)
-class _Packet:
+class _Packet(NamedTuple):
     """What later corrections need of a gyro packet."""
 
     stamp: Stamp
@@ -80,6 +81,8 @@ class Filter:
             scale=imu.gyro_scale_bound,
             most_rate=up(radians(robot.max_turn_rate_dps)),
             most_acceleration=up(radians(robot.max_turn_acceleration_dps2)),
+            most_bias=up(radians(imu.gyro_bias_bound_dps)),
+            bias_drift=up(radians(imu.gyro_bias_drift_dps2)),
         )
         half_gauge = 0.5 * robot.track_gauge_m
         self._tracks = TrackBounds(
@@ -96,8 +99,6 @@ class Filter:
         )
         self._left_m, self._right_m = encoders.left_metres_per_tick, encoders.right_metres_per_tick
         self._drift = imu.clock_drift_ppm * 1e-6
-        self._bias_bound = up(radians(imu.gyro_bias_bound_dps))
-        self._bias_drift = up(radians(imu.gyro_bias_drift_dps2))
         self._tilt_bound = up(radians(imu.tilt_bound_deg))
         self._accel_bound = up(imu.accel_bound_mps2 + robot.max_acceleration_mps2)
         self._still_ns = None if config.standstill_s is None else int(config.standstill_s * 1e9)
@@ -109,7 +110,8 @@ class Filter:
 
         history_ns = int(config.history_s * 1e9)
         self._attitude = Tube(history_ns)
-        self._bias = np.array([[-self._bias_bound, self._bias_bound]] * 3)
+        self._bias = np.array([[-self._gyro.most_bias, self._gyro.most_bias]] * 3)
+        self._turned, self._varied, self._swing = np.zeros((3, 2)), np.zeros(3), np.zeros(3)
         self._gyro_source: tuple[str, int] | None = None
         self._packets: deque[_Packet] = deque(maxlen=PENDING)
         self._period_s = np.inf
@@ -140,9 +142,9 @@ class Filter:
     def accept(self, sample: WheelTicks | InertialSample | Fix) -> None:
         """Take one sample. One that comes out of order, or can't be used, is dropped and counted."""
         if isinstance(sample, InertialSample):
-            if not all(isnan(rate) for rate in sample.gyro_rps):
+            if not isnan(min(sample.gyro_rps, key=isnan)):
                 self._predict_attitude(sample)
-            if not all(isnan(x) for x in (*sample.tilt_rad, *sample.accel_mps2)):
+            if not isnan(min((*sample.tilt_rad, *sample.accel_mps2[:2]), key=isnan)):
                 self._queue(self._tilts, sample)
             while self._tilts and self._correct_tilt(self._tilts[0]):
                 self._tilts.popleft()
@@ -155,6 +157,9 @@ class Filter:
                 return
             self._queue(self._ticks, sample)
         elif isinstance(sample, Fix):
+            if not all(map(isfinite, (sample.lat_deg, sample.lon_deg, sample.alt_m, *sample.bound_m))):
+                self.counts["fix_unusable"] += 1
+                return
             self._queue(self._fixes, sample)
         while self._ticks and self._attitude.reaches(self._ticks[0].stamp.latest_ns) and self._level_since_start():
             self._predict_position(self._ticks.popleft())
@@ -191,13 +196,10 @@ class Filter:
             self.counts["gyro_out_of_order"] += 1
             return
         low, high, stamp, gap = self._interval(last, sample, resolution)
-        self._bias[:, 0] = np.maximum(self._bias[:, 0] - up(up(self._bias_drift * high)), -self._bias_bound)
-        self._bias[:, 1] = np.minimum(self._bias[:, 1] + up(up(self._bias_drift * high)), self._bias_bound)
-        turned, varied = np.empty((3, 2)), np.empty(3)
+        turned, varied, swing = self._turned, self._varied, self._swing
         if not rotate(np.array(sample.gyro_rps), self._bias, low, high, gap, self._gyro, turned, varied):
             self._contradictions.report("gyro", sample.stamp.mid_ns)
         box = self._attitude.box[self._attitude.newest].copy()
-        swing = np.zeros(3)
         was_level = self._level
         self._level = self._level and turn(box, turned, varied, swing)
         i = self._append_attitude(sample, stamp, resolution, varied, last.stamp.earliest_ns)
@@ -214,8 +216,8 @@ class Filter:
         self, sample: InertialSample, stamp: Stamp, resolution_us: int, varied: NDArray[np.float64], began_ns: int
     ) -> int:
         """A node whose tilt is not known yet."""
-        effort = self._attitude.effort[self._attitude.newest] if len(self._attitude) else np.zeros(3, dtype=np.int64)
-        effort = effort + np.ceil(varied / QUANTUM).astype(np.int64) + 1
+        effort = np.empty(3, dtype=np.int64)
+        add_effort(self._packets[-1].effort if self._packets else np.zeros(3, dtype=np.int64), varied, effort)
         i = self._attitude.push(stamp.earliest_ns, stamp.latest_ns)
         self._attitude.effort[i] = effort
         self._attitude.box[i, :2] = -UNKNOWN_TILT, UNKNOWN_TILT
@@ -239,7 +241,7 @@ class Filter:
             return down(low * 1e-9), up(high * 1e-9), stamp, True
         between = sample.device_time_us - last.device_us
         device_low = int(max(0, between - resolution) * 1000 * (1.0 - self._drift)) - 1
-        device_high = int((between + resolution) * 1000 * (1.0 + self._drift)) + 1
+        device_high = int((between + resolution) * 1000 / (1.0 - self._drift)) + 2
         self._intervals_seen += 1
         if self._intervals_seen > 1:  # the first one after a start may be anything
             self._period_s = min(self._period_s, between * 1e-6)
@@ -267,34 +269,16 @@ class Filter:
         if earlier is None:
             self.counts["tilt_too_early"] += 1
             return True
-        varied = radians_of(newest.effort - earlier.effort)
         i = self._attitude.newest
-        box = self._attitude.box[i]
-        moved = np.empty(3)
-        roll, pitch = (-UNKNOWN_TILT, UNKNOWN_TILT), (-UNKNOWN_TILT, UNKNOWN_TILT)
-        sensor = "accelerometer"
-        known = self._level and excursion((box[0, 0], box[0, 1]), (box[1, 0], box[1, 1]), varied, moved)
-        if not isnan(sample.tilt_rad[0]):
-            roll, sensor = widen((sample.tilt_rad[0],) * 2, self._tilt_bound), "tilt"
-        if not isnan(sample.tilt_rad[1]):
-            pitch, sensor = widen((sample.tilt_rad[1],) * 2, self._tilt_bound), "tilt"
-        if not isnan(sample.accel_mps2[0]) or not isnan(sample.accel_mps2[1]):
-            before = widen((box[1, 0], box[1, 1]), moved[1]) if known else (-UNKNOWN_TILT, UNKNOWN_TILT)
-            phi, theta = accelerometer_tilt(
-                sample.accel_mps2[0], sample.accel_mps2[1], self._accel_bound, meet(before, pitch), GRAVITY
-            )
-            roll, pitch = meet(roll, phi), meet(pitch, theta)
-        if is_empty(roll) or is_empty(pitch):
-            self._contradictions.report(sensor, sample.stamp.mid_ns)
+        outcome = contract_tilt(
+            self._attitude.box[i], self._level, *sample.tilt_rad, self._tilt_bound, *sample.accel_mps2[:2],
+            self._accel_bound, newest.effort, earlier.effort,
+        )  # fmt: skip
+        if outcome == CONTRADICTS:
+            by_tilt = not all(isnan(angle) for angle in sample.tilt_rad)
+            self._contradictions.report("tilt" if by_tilt else "accelerometer", sample.stamp.mid_ns)
+        if outcome != DONE:
             return True
-        if not known and not excursion(roll, pitch, varied, moved):
-            return True  # says too little to begin with
-        roll = meet(widen(roll, moved[0]), (box[0, 0], box[0, 1]))
-        pitch = meet(widen(pitch, moved[1]), (box[1, 0], box[1, 1]))
-        if is_empty(roll) or is_empty(pitch):
-            self._contradictions.report(sensor, sample.stamp.mid_ns)
-            return True
-        box[0], box[1] = roll, pitch
         if not self._level:
             self._level = True
             if not self._yaw_zeroed:
@@ -365,8 +349,8 @@ class Filter:
     def _correct_bias(self, packet: _Packet) -> None:
         """bias = measured - true ± noise ± scale |true|, some time ago: wider by the drift since then."""
         age = (self._packets[-1].stamp.latest_ns - packet.began_ns) * 1e-9
-        error = self._gyro.noise + self._still_rate * (1.0 + self._gyro.scale) + self._gyro.scale * self._bias_bound
-        error = up(up(error + up(self._bias_drift * age)) * (1.0 + 1e-12))
+        error = self._gyro.noise + self._still_rate * (1.0 + self._gyro.scale) + self._gyro.scale * self._gyro.most_bias
+        error = up(up(error + up(self._gyro.bias_drift * age)) * (1.0 + 1e-12))
         for axis, rate in enumerate(packet.rate):
             if isnan(rate):
                 continue
@@ -459,7 +443,11 @@ class Filter:
         longest = up((packet.stamp.latest_ns - time_ns) * 1e-9)
         varied = np.empty(3)
         for axis, rate in enumerate(packet.rate):
-            error = self._gyro.noise + self._bias_bound + self._gyro.scale * (self._gyro.most_rate + self._bias_bound)
+            error = (
+                self._gyro.noise
+                + self._gyro.most_bias
+                + self._gyro.scale * (self._gyro.most_rate + self._gyro.most_bias)
+            )
             most = self._gyro.most_rate
             if not isnan(rate):
                 most = min(most, up(up(abs(rate) + error) + up(self._gyro.most_acceleration * longest)))

@@ -53,6 +53,9 @@ class GyroBounds(NamedTuple):
     """|body rate| of the robot, any axis."""
     most_acceleration: float
     """|d(body rate)/dt|."""
+    most_bias: float
+    bias_drift: float
+    """|d(bias)/dt|."""
 
 
 class TrackBounds(NamedTuple):
@@ -98,20 +101,24 @@ def rotate(
 ) -> bool:
     """Integrals of the body rates over a step of [time_low, time_high] seconds: intervals `turned` and `varied`.
 
-    rate [3] is the mean body rate of the packet (NaN: axis not measured), bias [3, 2], turned [3, 2], varied [3].
-    With `gap` the packet's mean covers only the last part of the step: the mean is taken on at some instant of the
-    step, from which the rate differs by at most most_acceleration * step. False if an axis turns faster than declared.
+    rate [3] is the mean body rate of the packet (NaN: axis not measured), bias [3, 2] (drifts on, in place), turned
+    [3, 2], varied [3]. With `gap` the packet's mean covers only the last part of the step, P of T seconds: it is the
+    rate at some instant s of that part, so the rest of the integral is off by at most the integral of a |s - t|, which
+    is a (T^2 - P^2) / 2 or less. False if an axis turns faster than declared.
     """
     sound = True
     most = up(bounds.most_rate * time_high)
+    aged = up(bounds.bias_drift * time_high)
     for i in range(3):
+        bias[i, 0] = max(down(bias[i, 0] - aged), -bounds.most_bias)
+        bias[i, 1] = min(up(bias[i, 1] + aged), bounds.most_bias)
         net = (-most, most)
         if rate[i] == rate[i]:
             free = outward_sub(rate[i], bias[i, 0], bias[i, 1])
             true = up(up(mag(free) + bounds.noise) / down(1.0 - bounds.scale))
             error = up(bounds.noise + up(bounds.scale * max(abs(rate[i]), true)))
             if gap:
-                error = up(error + up(bounds.most_acceleration * time_high))
+                error = up(error + up(0.5 * bounds.most_acceleration * time_high))
             measured = meet(mul(widen(free, error), (time_low, time_high)), net)
             if is_empty(measured):
                 sound = False
@@ -157,6 +164,13 @@ def excursion(roll: Interval, pitch: Interval, varied: NDArray[np.float64], out:
         v0 = max(v0, 1.5 * f0)
         v1 = max(v1, 1.5 * f1)
     return False
+
+
+@compiled
+def add_effort(before: NDArray[np.int64], varied: NDArray[np.float64], after: NDArray[np.int64]) -> None:
+    """after = before + varied in whole QUANTUM, rounded up."""
+    for i in range(3):
+        after[i] = before[i] + int(np.ceil(varied[i] / QUANTUM)) + 1
 
 
 @compiled

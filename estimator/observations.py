@@ -28,7 +28,9 @@ from estimator.interval import (
     sub,
     widen,
 )
+from estimator.motion import QUANTUM, excursion
 
+QUARTER = 0.5 * pi + 1e-15
 GRAVITY: Interval = (9.76, 9.84)
 """m/s^2: at sea level from the equator to the poles, and up to 5000 m."""
 
@@ -41,9 +43,8 @@ def accelerometer_tilt(
 
     `pitch` is what is known of the pitch before. |roll| and |pitch| are taken to be at most 90 degrees.
     """
-    quarter = (-0.5 * pi - 1e-15, 0.5 * pi + 1e-15)
-    theta = quarter
-    phi = quarter
+    theta = (-QUARTER, QUARTER)
+    phi = (-QUARTER, QUARTER)
     if ahead == ahead:
         theta = arcsine(neg(divide(widen((ahead, ahead), error), gravity)))
     both = meet(theta, pitch)
@@ -52,6 +53,56 @@ def accelerometer_tilt(
         if ct[0] > 1e-3:
             phi = arcsine(divide(divide(widen((left, left), error), gravity), ct))
     return phi, theta
+
+
+@compiled
+def contract_tilt(
+    attitude: NDArray[np.float64],
+    known: bool,
+    tilt_roll: float,
+    tilt_pitch: float,
+    tilt_error: float,
+    ahead: float,
+    left: float,
+    accel_error: float,
+    effort: NDArray[np.int64],
+    effort_before: NDArray[np.int64],
+) -> int:
+    """Contract roll and pitch of attitude [3, 2] in place by a reading from a little before; NaN: not measured.
+
+    Since the reading the body rates varied by at most effort - effort_before (QUANTUM), so the angles moved no further
+    than their excursion: from the attitude's own box back in time where that is `known`, else from the reading on.
+    Returns 0: done; 1: it contradicts the box, which stays; 2: it says too little to begin with.
+    """
+    varied = np.empty(3)
+    for i in range(3):
+        varied[i] = (effort[i] - effort_before[i]) * QUANTUM
+    moved = np.empty(3)
+    roll = (attitude[0, 0], attitude[0, 1])
+    pitch = (attitude[1, 0], attitude[1, 1])
+    known = known and excursion(roll, pitch, varied, moved)
+    phi = (-QUARTER, QUARTER)
+    theta = (-QUARTER, QUARTER)
+    if tilt_roll == tilt_roll:
+        phi = meet(phi, widen((tilt_roll, tilt_roll), tilt_error))
+    if tilt_pitch == tilt_pitch:
+        theta = meet(theta, widen((tilt_pitch, tilt_pitch), tilt_error))
+    if ahead == ahead or left == left:
+        before = meet(theta, widen(pitch, moved[1])) if known else theta
+        seen_roll, seen_pitch = accelerometer_tilt(ahead, left, accel_error, before, GRAVITY)
+        phi = meet(phi, seen_roll)
+        theta = meet(theta, seen_pitch)
+    if is_empty(phi) or is_empty(theta):
+        return 1
+    if not known and not excursion(phi, theta, varied, moved):
+        return 2
+    phi = meet(roll, widen(phi, moved[0]))
+    theta = meet(pitch, widen(theta, moved[1]))
+    if is_empty(phi) or is_empty(theta):
+        return 1
+    attitude[0, 0], attitude[0, 1] = phi
+    attitude[1, 0], attitude[1, 1] = theta
+    return 0
 
 
 @compiled
@@ -145,7 +196,7 @@ def anchored_by_all(
 
     What an early fix says of t is of use only when later ones have narrowed Ψ.
     """
+    agree = True
     for i in range(count):
-        if not anchored(antennas[i], anchor, points[i]):
-            return False
-    return True
+        agree = agree and anchored(antennas[i], anchor, points[i])
+    return agree

@@ -10,7 +10,7 @@ from estimator.motion import GyroBounds, TrackBounds, excursion, rotate, travel,
 STEPS = 400
 """Substeps of the brute-force integration."""
 ALPHA = 7.0
-GYRO = GyroBounds(noise=2e-3, scale=0.004, most_rate=1.6, most_acceleration=ALPHA)
+GYRO = GyroBounds(noise=2e-3, scale=0.004, most_rate=1.6, most_acceleration=ALPHA, most_bias=0.02, bias_drift=0.0)
 TRACKS = TrackBounds(
     slip=0.03,
     lateral=0.01,
