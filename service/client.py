@@ -19,7 +19,7 @@ import zenoh
 from zenoh.handlers import RingChannel
 
 from drivers.errors import LinkError
-from estimator.bounded_pose import INTACT, Anchor, BoundedPose, Guarantee
+from estimator.bounded_pose import Anchor, BoundedPose, Guarantee
 from mapper.saved_map import assemble, save
 from mapper.tile import Tile, content_crc, join
 from mapper.tile_codec import TileFormatError, decode
@@ -103,7 +103,7 @@ class RemoteMap:
         self._epoch: str | None = None
         self._tiles: dict[TileId, Tile] = {}
         self._crcs: dict[TileId, int] = {}
-        self._guarantee = INTACT
+        self._guarantee: Guarantee | None = None
         self._stale: dict[TileId, int] = {}
         """Tiles that differed from the digest when it came, with the CRC that it listed."""
         self._listing_wanted = True
@@ -155,8 +155,8 @@ class RemoteMap:
             return dict(self._tiles)
 
     @property
-    def bounds(self) -> Guarantee:
-        """Do the robot's bounds hold? As its newest tile or pose says."""
+    def bounds(self) -> Guarantee | None:
+        """Do the robot's bounds hold? As its newest tile or pose says; None before the first."""
         with self._changed:
             return self._guarantee
 
@@ -164,6 +164,8 @@ class RemoteMap:
     def guarantee(self) -> str:
         """`bounds` in words."""
         bounds = self.bounds
+        if bounds is None:
+            return "unknown"
         return "intact" if bounds.intact else f"contradicted by {bounds.sensor or 'a sensor'}"
 
     @property
@@ -173,9 +175,15 @@ class RemoteMap:
             return self._in_sync
 
     def wait_in_sync(self, timeout_s: float, final: bool = False) -> bool:
-        """Wait until the copy equals the robot's map; `final`: until the robot has said that this is all of it."""
+        """Wait until a digest that comes from now on finds the copy equal to the robot's map (or repair makes it so).
+
+        `final`: until it equals a digest, whenever it came, of which the robot said that this is all.
+        """
         with self._changed:
-            return self._changed.wait_for(lambda: self._in_sync and (self._final or not final), timeout_s)
+            before = self._digest_count
+            return self._changed.wait_for(
+                lambda: self._in_sync and (self._final if final else self._digest_count > before), timeout_s
+            )
 
     def wait_for_digest(self, timeout_s: float) -> bool:
         """Wait until one more digest has been compared with the copy."""
