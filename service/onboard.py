@@ -24,6 +24,8 @@ from service.sample_queue import SampleQueue
 
 IDLE_S = 0.02
 """The pipeline thread looks up this often when no sample comes."""
+LEAST_OFFER_NS = 5_000_000
+"""Updates are at least this far apart: a fast replay coalesces more instead of publishing more."""
 OFFER_PERIOD_NS = 100_000_000
 """Pose and health are offered at least this often, also when no cell changed."""
 
@@ -120,8 +122,8 @@ class Onboard:
         self._save_wanted.set()
 
     def _acknowledge(self, device: str, total_bytes: int) -> None:
-        """Tell the lockstep clock that these bytes are dealt with, once the pipeline has taken their samples."""
-        self.queue.wait_until_taken(1.0)
+        """Tell the lockstep clock that these bytes are dealt with, once the pipeline has room for more."""
+        self.queue.wait_for_room(1.0)
         self.clock.acknowledge(device, total_bytes)
 
     def _map(self) -> None:
@@ -156,9 +158,9 @@ class Onboard:
         """Fill the publisher's mailbox if it is empty: changes coalesce by themselves, nothing queues, nobody waits."""
         if last:
             self.publisher.wait_until_ready(2.0)
-        if not self.publisher.ready:
-            return
         now_ns = time.monotonic_ns()
+        if not self.publisher.ready or not (last or now_ns - self._offered_ns >= LEAST_OFFER_NS):
+            return
         tiles = self.pipeline.map.take_dirty()
         if not (last or tiles or now_ns - self._offered_ns > OFFER_PERIOD_NS):
             return

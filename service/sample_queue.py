@@ -50,7 +50,9 @@ class SampleQueue:
         """Is nothing waiting?"""
         return not self._arrivals
 
-    def wait_until_taken(self, timeout_s: float) -> bool:
-        """Wait until the pipeline has taken everything: for replays, which can be told to wait; a robot cannot."""
+    def wait_for_room(self, timeout_s: float) -> bool:
+        """Wait until the queue is at most a quarter full: for replays, which can be told to wait; a robot cannot."""
+        if 4 * len(self._arrivals) <= self._capacity:
+            return True
         with self._changed:
-            return self._changed.wait_for(lambda: not self._arrivals, timeout_s)
+            return self._changed.wait_for(lambda: 4 * len(self._arrivals) <= self._capacity, timeout_s)

@@ -22,10 +22,12 @@ def test_taking_from_an_empty_queue_gives_nothing() -> None:
     assert SampleQueue().take(0) == []
 
 
-def test_a_replay_can_wait_until_everything_was_taken() -> None:
-    """A replay may be told to wait for the pipeline."""
-    queue = SampleQueue()
+def test_a_replay_can_wait_for_room() -> None:
+    """A replay may be told to wait for the pipeline, so that nothing is ever dropped."""
+    queue = SampleQueue(capacity=4)
     queue.put([arrival("imu", 0)])
-    assert not queue.wait_until_taken(0)
+    assert queue.wait_for_room(0)
+    queue.put([arrival("imu", 1)])
+    assert not queue.wait_for_room(0)
     queue.take(0)
-    assert queue.wait_until_taken(0)
+    assert queue.wait_for_room(0)
