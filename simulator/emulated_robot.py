@@ -59,7 +59,7 @@ def print_progress(progress: Progress) -> None:
     print(json.dumps(asdict(progress)), file=sys.stdout, flush=True)
 
 
-class _Wire:
+class Wire:
     """One device and its port, and the account of its bytes."""
 
     def __init__(self, name: str, emulator: Emulator, port: PseudoPort) -> None:
@@ -133,7 +133,7 @@ class _Devices:
 
     laser: SickLmsEmulator
     encoders: TrackEncodersEmulator
-    wires: list[_Wire]
+    wires: list[Wire]
 
     @property
     def heard(self) -> bool:
@@ -286,7 +286,7 @@ def _plug_in(world: World, devices: DevicesConfig, links: Mapping[str, Path] | P
     wires = []
     for name, emulator in emulators.items():
         paths[name].parent.mkdir(parents=True, exist_ok=True)
-        wires.append(_Wire(name, emulator, PseudoPort(paths[name])))
+        wires.append(Wire(name, emulator, PseudoPort(paths[name])))
     return _Devices(laser, encoders, wires)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.clock import LockstepClock
+from drivers.clock import LockstepClock, SystemClock
 from drivers.config import DevicesConfig, EncodersConfig, GpsConfig, ImuConfig, LaserConfig
 from drivers.errors import ConfigurationError, PortLost
 from drivers.gps_nmea.protocol import GpsProtocol
@@ -18,8 +18,10 @@ from drivers.samples import Fix, InertialSample, Sample, Scan, WheelTicks
 from drivers.sick_lms.protocol import SickLmsProtocol
 from drivers.track_encoders.protocol import TrackEncoderProtocol
 from drivers.transports import open_serial
-from simulator.emulated_robot import DEVICES, Progress, run_emulated_robot
+from simulator.emulated_robot import DEVICES, Progress, Wire, run_emulated_robot
+from simulator.emulators.sick_lms import SickLmsEmulator
 from simulator.errors import ErrorLaw
+from simulator.ports import PseudoPort
 from simulator.robot import RobotModel
 from simulator.terrain import build_terrain
 from simulator.truth import Truth
@@ -74,8 +76,7 @@ class Host:
     def _converse(self, name: str, protocol: Any) -> None:
         transport = open_serial(str(self.folder / name), protocol.baud or 115200)
         total = 0
-        if hasattr(protocol, "connection_made"):
-            protocol.connection_made(self.clock.now_ns())
+        protocol.connection_made(self.clock.now_ns())
         try:
             while True:  # until the robot unplugs its devices at the end
                 if request := protocol.data_to_send():
@@ -198,3 +199,46 @@ def test_a_latency_narrower_than_a_slice_is_refused(tmp_path: Path) -> None:
     world = World(build_terrain("flat"), RobotModel(), narrow, ErrorLaw(), 0, 4.0)
     with pytest.raises(ConfigurationError, match=r"devices\.imu\.latency_ms"):
         run_emulated_robot(world, narrow, tmp_path)
+
+
+def test_in_real_time_nobody_is_waited_for(tmp_path: Path) -> None:
+    """Without a lockstep clock the devices run on the system's clock, host or none, and the truth outlives the stop."""
+    world = World(build_terrain("flat"), RobotModel(), CONFIG, ErrorLaw(), SystemClock().now_ns(), 4.0)
+    stopping = threading.Event()
+    reports: list[Progress] = []
+
+    def on_progress(progress: Progress) -> None:
+        reports.append(progress)
+        if progress.state == "waiting":
+            assert sorted(path.name for path in tmp_path.iterdir()) == sorted(DEVICES)
+        if len(reports) == 4:
+            stopping.set()
+
+    run_emulated_robot(
+        world, CONFIG, tmp_path, truth_path=tmp_path / "truth.npz", on_progress=on_progress, stopping=stopping
+    )
+    assert [report.state for report in reports] == ["waiting", "starting", "starting", "starting", "done"]
+    assert reports[-1].now_ns - reports[0].now_ns >= 400_000_000
+    truth = Truth.load(tmp_path / "truth.npz")
+    assert (truth.pose == truth.pose[0]).all()
+    assert [path.name for path in tmp_path.iterdir()] == ["truth.npz"]
+
+
+def test_a_host_at_another_rate_gets_garbage(tmp_path: Path) -> None:
+    """The scanner's power-on telegram is whole at its own 9600 baud, and of one length but wrong at another."""
+    telegrams = []
+    for rate in (9600, 38400):
+        port = PseudoPort(tmp_path / f"laser-{rate}")
+        host = open_serial(port.path, rate)
+        wire = Wire("laser", SickLmsEmulator(lambda times, _: np.full(times.size, 3.0)), port)
+        for now_ns in range(0, 1_000_000_000, 5_000_000):
+            wire.exchange(now_ns)
+        data = bytearray()
+        while len(data) < wire.due:
+            data += host.read(1.0)
+        telegrams.append(bytes(data))
+        host.close()
+        port.close()
+    assert telegrams[0].startswith(b"\x02\x80")
+    assert len(telegrams[1]) == len(telegrams[0])
+    assert b"\x02" not in telegrams[1]
