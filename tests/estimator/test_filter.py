@@ -544,3 +544,36 @@ def test_a_robot_that_stands_learns_its_gyro_bias() -> None:
     )
     assert standing.violations == never.violations == 0
     assert standing.width[5] < 0.6 * never.width[5]
+
+
+@pytest.mark.parametrize("sensor", ["gyro", "tilt", "encoders", "imu_clock"])
+def test_a_reading_that_cannot_be_true_is_named_and_not_used(sensor: str) -> None:
+    """One impossible packet: the guarantee is void in its sensor's name, and the pose holds as if it had been lost."""
+
+    def spoil(sample: WheelTicks | InertialSample | Fix) -> WheelTicks | InertialSample | Fix:
+        if isinstance(sample, WheelTicks) and sensor == "encoders":
+            return replace(sample, left=sample.left + 900)
+        if isinstance(sample, InertialSample):
+            if sensor == "gyro":
+                return replace(sample, gyro_rps=(0.0, 0.0, 9.0))
+            if sensor == "tilt":
+                return replace(sample, tilt_rad=(0.5, 0.5))
+            if sample.device_time_us is not None:
+                return replace(sample, device_time_us=sample.device_time_us + 200_000)
+        return sample
+
+    world = World(3, seconds=5.0, script="straight")
+    kinds = {"gyro": "HIGHRES_IMU", "tilt": "ATTITUDE", "imu_clock": "HIGHRES_IMU"}
+    wrong = next(
+        k
+        for k, s in enumerate(world.samples)
+        if s.stamp.mid_ns > 13_500_000_000
+        and (isinstance(s, WheelTicks) if sensor == "encoders" else isinstance(s, InertialSample))
+        and (not isinstance(s, InertialSample) or (s.message == kinds[sensor] and s.sensor_id == 0))
+    )
+    world.samples[wrong] = spoil(world.samples[wrong])
+    outcome = follow(world)
+    assert outcome.filter.guarantee.sensor == sensor
+    assert outcome.filter.guarantee.void_since_ns == world.samples[wrong].stamp.mid_ns
+    if sensor != "imu_clock":  # a clock that jumped ahead stays wrong: all that comes after looks late
+        assert outcome.violations == 0
