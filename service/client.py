@@ -463,9 +463,11 @@ class RemoteMap:
         return None
 
     def _bring_listing(self, session: zenoh.Session, robot: str) -> None:
-        """Ask for a digest with all entries."""
-        for sample in self._answers(self._ask(session, topic_key(robot, DIGEST))):
-            self._take(sample, time.monotonic_ns())
+        """Ask for what a late joiner missed: info, anchor, health, and last a digest with all entries."""
+        asked = [self._ask(session, topic_key(robot, topic)) for topic in (INFO, ANCHOR, HEALTH, DIGEST)]
+        for answers in asked:
+            for sample in self._answers(answers):
+                self._take(sample, time.monotonic_ns())
 
     def _bring_tiles(self, session: zenoh.Session, robot: str, places: Sequence[TileId]) -> None:
         """Ask for some whole tiles, all at once, then take the answers."""
