@@ -113,7 +113,8 @@ def run_emulated_robot(
 ) -> None:
     """Open the ports, wait for the hosts, drive to the end of the world's drive, write the truth.
 
-    links: a path for each device of `laser, encoders, imu, gps`, or a folder in which links of these names are made.
+    links: a path for each device of `laser, encoders, imu, gps` that shall be there, or a folder for links of these
+    names are made. Without laser or encoders the robot never drives.
     clock: in lockstep, whose `now_ns` is the world's `start_ns`; None: real time on the system's clock.
     speed: in lockstep, times real time; None: as fast as the hosts can. Before the drive it is never above 1.
     stopping, or Ctrl-C: end early, the truth is still written. stay: after the drive, stand still until stopped.
@@ -284,9 +285,9 @@ def _plug_in(world: World, devices: DevicesConfig, links: Mapping[str, Path] | P
         )
     paths = {name: links / name for name in DEVICES} if isinstance(links, Path) else links
     wires = []
-    for name, emulator in emulators.items():
+    for name in [name for name in emulators if name in paths]:
         paths[name].parent.mkdir(parents=True, exist_ok=True)
-        wires.append(Wire(name, emulator, PseudoPort(paths[name])))
+        wires.append(Wire(name, emulators[name], PseudoPort(paths[name])))
     return _Devices(laser, encoders, wires)
 
 
