@@ -24,6 +24,7 @@ from drivers.errors import CaptureError
 
 CONFIG_RECORD = "terrabound.config"
 CONFIG_KEY = "toml"
+DBC_KEY = "dbc"
 RAW_TOPIC = "/raw/"
 BYTES_ENCODING = "application/octet-stream"
 CAN_ENCODING = "application/x-can-frame"
@@ -60,8 +61,13 @@ class RawChunk:
 class CaptureWriter:
     """Writes a capture; any number of threads may call `write`."""
 
-    def __init__(self, path: Path | str, config_text: str, can_frames: Collection[str] = ()) -> None:
-        """Begin the file, which must not exist yet. Devices in `can_frames` give `struct can_frame` records."""
+    def __init__(
+        self, path: Path | str, config_text: str, dbc_text: str = "", can_frames: Collection[str] = ()
+    ) -> None:
+        """Begin the file, which must not exist yet. Devices in `can_frames` give `struct can_frame` records.
+
+        `dbc_text` is the encoders' DBC file, so that the recording replays alone.
+        """
         self.path = Path(path)
         self._can_frames = frozenset(can_frames)
         self._lock = threading.Lock()
@@ -82,7 +88,7 @@ class CaptureWriter:
         self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
         try:
             self._writer.start(profile="", library="terrabound")
-            self._writer.add_metadata(CONFIG_RECORD, {CONFIG_KEY: config_text})
+            self._writer.add_metadata(CONFIG_RECORD, {CONFIG_KEY: config_text, DBC_KEY: dbc_text})
             self._writer.flush()  # type: ignore[no-untyped-call]  # mcap leaves it so
         except OSError as error:
             raise self._failed(error) from error
@@ -139,11 +145,13 @@ class CaptureWriter:
 class Capture:
     """A recording; iterate over it as often as you like. Whatever is whole before a cut is given."""
 
-    def __init__(self, path: Path, config_text: str, truncated: bool) -> None:
+    def __init__(self, path: Path, config_text: str, dbc_text: str, truncated: bool) -> None:
         """Use `read_capture`."""
         self.path = path
         self.config_text = config_text
         """The configuration it was recorded with; empty where the file holds none."""
+        self.dbc_text = dbc_text
+        """The encoders' DBC file, likewise."""
         self.truncated = truncated
         """Is the end missing? Damage further in is known once the iteration has come to it."""
 
@@ -190,12 +198,12 @@ def read_capture(path: Path | str) -> Capture:
                     f"{path}: not an MCAP recording (it {found}); give a file that `terrabound record` wrote"
                 )
             file.seek(0)
-            config_text = _config_text(file)
+            config = _config(file)
     except OSError as error:
         raise CaptureError(
             f"{path}: can't be read ({error.strerror}); check the file's name and permissions"
         ) from error
-    return Capture(path, config_text, truncated=not whole)
+    return Capture(path, config.get(CONFIG_KEY, ""), config.get(DBC_KEY, ""), truncated=not whole)
 
 
 def _refuse_bomb(chunk: Chunk) -> None:
@@ -209,12 +217,12 @@ def _refuse_bomb(chunk: Chunk) -> None:
         raise ValueError(f"a chunk of {size} bytes")
 
 
-def _config_text(file: IO[bytes]) -> str:
-    """The configuration's text; found at once in our own files, and wherever it is in others'."""
+def _config(file: IO[bytes]) -> dict[str, str]:
+    """The configuration's record; found at once in our own files, and wherever it is in others'."""
     try:
         for record in StreamReader(file, emit_chunks=True, record_size_limit=_RECORD_LIMIT_BYTES).records:
             if isinstance(record, Metadata) and record.name == CONFIG_RECORD:
-                return record.metadata.get(CONFIG_KEY, "")
+                return record.metadata
     except _DAMAGE:
         pass  # cut before it was written
-    return ""
+    return {}

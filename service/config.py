@@ -57,6 +57,20 @@ class LoadedConfig:
     text: str
     folder: Path
     source: str
+    dbc: str | None = None
+    """Text of the encoders' DBC file, where it came with the configuration (as in a capture)."""
+
+    def dbc_text(self) -> str:
+        """Text of the encoders' DBC file. Raises ConfigurationError where it can't be read."""
+        if self.dbc is not None:
+            return self.dbc
+        path = self.path(self.config.devices.encoders.dbc)
+        try:
+            return path.read_text(encoding="cp1252")
+        except OSError as error:
+            raise ConfigurationError(
+                f"devices.encoders.dbc: {path}: cannot be read ({error.strerror}); name the DBC file of the track encoders"
+            ) from None
 
     def path(self, relative: str) -> Path:
         """A path of the configuration, as seen from its file's folder."""
@@ -74,7 +88,7 @@ def load(path: Path) -> LoadedConfig:
     return parse(text, folder=path.resolve().parent, source=str(path))
 
 
-def parse(text: str, folder: Path, source: str) -> LoadedConfig:
+def parse(text: str, folder: Path, source: str, dbc: str | None = None) -> LoadedConfig:
     """Check a configuration's text. Raises ConfigurationError that names every wrong key."""
     try:
         tree = tomllib.loads(text)
@@ -88,7 +102,7 @@ def parse(text: str, folder: Path, source: str) -> LoadedConfig:
         count = error.error_count()
         noun = "mistake" if count == 1 else "mistakes"
         raise ConfigurationError(f"{source}: {count} {noun} in the configuration\n{lines}") from None
-    return LoadedConfig(config, text, folder, source)
+    return LoadedConfig(config, text, folder, source, dbc)
 
 
 def _explain(entry: Any) -> str:

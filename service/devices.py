@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from drivers.errors import ConfigurationError
 from drivers.gps_nmea.protocol import GpsProtocol
 from drivers.imu.protocol import ImuProtocol
 from drivers.protocol import DeviceProtocol
@@ -32,7 +31,7 @@ def wiring(loaded: LoadedConfig) -> tuple[Device, ...]:
     """The table of devices. Raises ConfigurationError where the encoders' DBC file can't be used."""
     devices = loaded.config.devices
     laser, encoders, imu, gps = devices.laser, devices.encoders, devices.imu, devices.gps
-    dbc_text = _dbc_text(loaded)
+    dbc_text = loaded.dbc_text()
     framed = encoders.interface == "socketcan"
     encoder_port = encoders.port if framed else _port(loaded, encoders.port)
     table = [
@@ -57,17 +56,6 @@ def wiring(loaded: LoadedConfig) -> tuple[Device, ...]:
 def can_frames(devices: tuple[Device, ...]) -> tuple[str, ...]:
     """Names of the devices whose captures hold CAN frames."""
     return tuple(device.name for device in devices if device.can_frames)
-
-
-def _dbc_text(loaded: LoadedConfig) -> str:
-    """The DBC file of the encoders."""
-    path = loaded.path(loaded.config.devices.encoders.dbc)
-    try:
-        return path.read_text(encoding="cp1252")
-    except OSError as error:
-        raise ConfigurationError(
-            f"devices.encoders.dbc: {path}: cannot be read ({error.strerror}); name the DBC file of the track encoders"
-        ) from None
 
 
 def _serial(

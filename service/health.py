@@ -20,6 +20,8 @@ from estimator.bounded_pose import INTACT, Guarantee
 
 RATE_WINDOW_NS = 2_000_000_000
 """Rates are means over at least this long (and dirt this recent degrades a device)."""
+LIFE_TIMEOUT_NS = 8_000_000_000
+"""A reader looks up every 50 ms, and every 2 s while its port is away."""
 FLOW_TIMEOUT_NS = 2_000_000_000
 """How long samples may lie before the pipeline takes one."""
 DIRT = ("bad_", "skipped_", "short_", "unknown_", "garbage", "framing_", "overrun", "rejected")
@@ -111,11 +113,17 @@ class Health:
         self._unanswered_ns: int | None = None
         """When the first sample came that the pipeline has not answered; None where it owes nothing."""
         self._answered_ns: int | None = None
+        self._alive_ns: dict[str, int] = {}
+        """When each reader last looked up."""
 
     def watch(self, name: str, stale_after_s: float, counts: Mapping[str, int] | None = None) -> None:
         """Keep an eye on a device: silence longer than `stale_after_s` is a fault; `counts` are its protocol's own."""
         with self._lock:
             self._devices[name] = _Device(round(stale_after_s * 1e9), {} if counts is None else counts)
+
+    def alive(self, name: str, now_ns: int) -> None:
+        """The device's reader is at work: it reads, waits for bytes, or tries to open its port."""
+        self._alive_ns[name] = now_ns
 
     def port_opened(self, name: str) -> None:
         """The device's port is open."""
@@ -154,7 +162,7 @@ class Health:
         """Do samples that arrive flow through the pipeline? Only then is the watchdog fed.
 
         Where no samples arrive (sensors unplugged or without power) nothing is owed: a restart would not bring
-        them back, and would cost the map.
+        them back, and would cost the map. But every reader must be at work: one that hangs starves the flow.
         """
         with self._lock:
             return self._flowing(now_ns)
@@ -188,7 +196,9 @@ class Health:
             }
 
     def _flowing(self, now_ns: int) -> bool:
-        return self._unanswered_ns is None or now_ns - self._unanswered_ns <= FLOW_TIMEOUT_NS
+        if self._unanswered_ns is not None and now_ns - self._unanswered_ns > FLOW_TIMEOUT_NS:
+            return False
+        return all(now_ns - alive_ns <= LIFE_TIMEOUT_NS for alive_ns in self._alive_ns.values())
 
     def _device(self, name: str, device: _Device, now_ns: int) -> dict[str, Any]:
         """One device's row of the snapshot."""

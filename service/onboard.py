@@ -3,6 +3,7 @@
 Used alike by `run`, `demo`, `replay --ports` and the tests; they differ in the clock and in where the ports lead.
 """
 
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -12,13 +13,12 @@ from pathlib import Path
 from drivers.capture import CaptureWriter
 from drivers.clock import Clock
 from estimator.bounded_pose import BoundedPose
-from mapper.saved_map import assemble, save
 from service.config import LoadedConfig
 from service.devices import Device, can_frames, wiring
 from service.health import Health
-from service.messages import write_anchor
+from service.map_file import save_map
 from service.pipeline import Pipeline
-from service.publisher import MAP_FRAME, MapUpdate, Publisher
+from service.publisher import MapUpdate, Publisher
 from service.reader import Reader
 from service.sample_queue import SampleQueue
 
@@ -28,6 +28,30 @@ LEAST_OFFER_NS = 5_000_000
 """Updates are at least this far apart: a fast replay coalesces more instead of publishing more."""
 OFFER_PERIOD_NS = 100_000_000
 """Pose and health are offered at least this often, also when no cell changed."""
+
+
+class Unpublished:
+    """In place of a publisher, where nobody is to receive the map."""
+
+    ready = False
+
+    def start(self) -> None:
+        """Nothing to open."""
+
+    def offer(self, update: MapUpdate) -> bool:
+        """Never asked for: not ready."""
+        return False
+
+    def wait_until_ready(self, timeout_s: float) -> bool:
+        """Never."""
+        return False
+
+    def flush(self, timeout_s: float) -> bool:
+        """Nothing is waiting."""
+        return True
+
+    def close(self) -> None:
+        """Nothing is open."""
 
 
 class Onboard:
@@ -42,8 +66,12 @@ class Onboard:
         capture: Path | None = None,
         on_pose: Callable[[BoundedPose], None] | None = None,
         lockstep: bool = False,
+        publish: bool = True,
     ) -> None:
-        """`lockstep`: readers acknowledge their bytes to `clock` once the pipeline has taken the samples."""
+        """`lockstep`: readers acknowledge their bytes to `clock` once the pipeline has room for more samples.
+
+        `publish` False: nothing leaves the process (a replay's map is wanted, not its stream).
+        """
         config = loaded.config
         self.clock = clock
         self.pipeline = Pipeline(config, on_pose)
@@ -51,7 +79,7 @@ class Onboard:
         self.queue = SampleQueue()
         self.devices = wiring(loaded) if devices is None else devices
         self.health = Health()
-        self.publisher = Publisher(config.publish, config.robot.name)
+        self.publisher = Publisher(config.publish, config.robot.name) if publish else Unpublished()
         self._failure: BaseException | None = None
         self._loaded = loaded
         self._capture_path = capture
@@ -75,9 +103,13 @@ class Onboard:
         """
         capture = None
         if self._capture_path is not None:
-            capture = CaptureWriter(self._capture_path, self._loaded.text, can_frames(self.devices))
+            capture = CaptureWriter(
+                self._capture_path, self._loaded.text, self._loaded.dbc_text(), can_frames(self.devices)
+            )
             self._resources.callback(capture.close)
         self.publisher.start()
+        # A reader that wakes up then waits this long at most for the interpreter, instead of 5 ms.
+        sys.setswitchinterval(0.0005)
         self._thread.start()
         acknowledge = self._acknowledge if self._lockstep else None
         self._readers = [
@@ -111,11 +143,7 @@ class Onboard:
         if path is None and wanted is not None:
             path = self._loaded.path(wanted)
         if path is not None:
-            anchor = self.pipeline.filter.anchor
-            tiles, resolution_m = self.pipeline.map.tiles(), self.pipeline.map.config.resolution_m
-            save(
-                assemble(tiles, resolution_m, MAP_FRAME, "" if anchor is None else write_anchor(anchor).decode()), path
-            )
+            save_map(self.pipeline, path)
 
     def request_save(self) -> None:
         """Have the pipeline thread save the map when it next has a moment."""

@@ -61,13 +61,14 @@ class Reader:
         """The thread: whatever ends it early is kept for whoever watches over the service."""
         try:
             self._read_until_stopped()
-        except BaseException as error:  # noqa: BLE001
+        except BaseException as error:
             self.failure = error
 
     def _read_until_stopped(self) -> None:
         """Open, converse, and after a loss wait a little longer each time before trying again."""
         pause_s = FIRST_RETRY_S
         while not self._stopping.is_set():
+            self._health.alive(self._device.name, time.monotonic_ns())
             try:
                 transport = self._device.open()
             except PortError as error:
@@ -98,6 +99,7 @@ class Reader:
                 transport.set_baud(protocol.baud)
             data = transport.read(self._patience_s())
             now_ns, received_ns = self._clock.now_ns(), time.monotonic_ns()
+            self._health.alive(name, received_ns)
             if protocol.deadline_ns is not None and protocol.deadline_ns <= now_ns:
                 protocol.advance(now_ns)
             if not data:

@@ -33,7 +33,7 @@ def record(*, config: Path, output: Path) -> int:
     ended = threading.Event()
     with ExitStack() as stack:
         stack.enter_context(stop_on_signals(ended))
-        capture = CaptureWriter(output, loaded.text, can_frames(devices))
+        capture = CaptureWriter(output, loaded.text, loaded.dbc_text(), can_frames(devices))
         stack.callback(capture.close)
         readers = [Reader(device, SystemClock(), queue, health, capture) for device in devices]
         for reader in readers:

@@ -1,8 +1,6 @@
 """`terrabound watch`: a remote copy of the map, from anywhere the network reaches."""
 
 import json
-import signal
-import threading
 from pathlib import Path
 
 from rich.console import Console
@@ -10,6 +8,7 @@ from rich.live import Live
 from rich.table import Table
 
 from service.client import RemoteMap
+from service.lifecycle import stop_on_signals
 
 FINAL_SYNC_S = 5.0
 """After the end is asked for, how long to wait until the copy equals the robot's map."""
@@ -38,11 +37,8 @@ def watch(
     report
         Write what was received, and its latencies, to this JSON file at the end.
     """
-    ended = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: ended.set())
     console = Console(stderr=True)
-    with RemoteMap(connect, robot=robot) as remote:
+    with stop_on_signals() as ended, RemoteMap(connect, robot=robot) as remote:
         if once:
             synced = remote.wait_in_sync(FINAL_SYNC_S)
         else:
