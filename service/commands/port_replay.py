@@ -26,9 +26,9 @@ READ_PATIENCE_S = 30.0
 def replay_through_ports(
     loaded: LoadedConfig, chunks: Iterable[RawChunk], on_pose: Callable[[BoundedPose], None] | None = None
 ) -> Pipeline:
-    """Write each chunk to its port at its recorded time, on a lockstep clock; the pipeline that comes back has finished.
+    """Write each chunk to its port at its recorded time, on a lockstep clock; returns the finished pipeline.
 
-    Nothing is published but on the loopback address, to nobody.
+    Nothing is published.
     """
     if loaded.config.devices.encoders.interface == "socketcan":
         raise CaptureError(
