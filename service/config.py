@@ -69,7 +69,8 @@ class LoadedConfig:
             return path.read_text(encoding="cp1252")
         except OSError as error:
             raise ConfigurationError(
-                f"devices.encoders.dbc: {path}: cannot be read ({error.strerror}); name the DBC file of the track encoders"
+                f"devices.encoders.dbc: {path}: cannot be read ({error.strerror}); "
+                "name the DBC file of the track encoders"
             ) from None
 
     def path(self, relative: str) -> Path:

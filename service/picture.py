@@ -54,10 +54,10 @@ def draw(path: Path, saved: SavedMap, drive_xy: Array, profile: Profile, labels:
     rows, columns = np.flatnonzero(seen.any(1)), np.flatnonzero(seen.any(0))
     if len(rows) == 0:
         raise TerraboundError("the map is empty: nothing to draw")
-    rows, columns = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    middle, width = middle[rows, columns], width[rows, columns]
+    window = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    middle, width = middle[window], width[window]
     cell = saved.resolution_m
-    west, south = saved.origin_m[0] + columns.start * cell, saved.origin_m[1] + rows.start * cell
+    west, south = saved.origin_m[0] + columns[0] * cell, saved.origin_m[1] + rows[0] * cell
     extent = (west, west + middle.shape[1] * cell, south, south + middle.shape[0] * cell)
 
     figure = plt.figure(figsize=(14, 11), dpi=110, layout="constrained")

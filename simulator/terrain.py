@@ -163,7 +163,7 @@ def _ramp(seed: int) -> Terrain:
 
 def _stairs(seed: int) -> Terrain:
     """Six steps up to a wide landing with a wall of one metre behind it; the robot comes 7 degrees off square."""
-    steps, first, half_width = 6, 2.0, 7.0
+    steps, first, half_width = 6, 3.5, 7.0
     boxes = []
     for k in range(steps):
         x = first + k * STEP_TREAD_M
@@ -171,7 +171,7 @@ def _stairs(seed: int) -> Terrain:
         boxes.append((x, -half_width, -0.5, far, half_width, (k + 1) * STEP_RISE_M))
     wall = first + (steps - 1) * STEP_TREAD_M + 13.0
     boxes.append((wall, -half_width, -0.5, wall + 0.3, half_width, steps * STEP_RISE_M + 1.0))
-    course = Course(0.0, -0.6, 0.12, straight_m=7.3, circle_radius_m=2.6, weave_rad=0.02)
+    course = Course(0.0, -0.6, 0.12, straight_m=8.8, circle_radius_m=2.6, weave_rad=0.02)
     return Terrain("stairs", seed, np.zeros((25, 25)), -30.0, -30.0, 2.5, np.array(boxes), course)
 
 

@@ -72,7 +72,7 @@ class EmulatedRobot:
         self._errors.close()
 
     def follow(self) -> Iterator[float | None]:
-        """Seconds driven so far, now and then; None while the hosts still talk to their devices. Ends with the drive."""
+        """Seconds driven so far, now and then; None while hosts still talk to their devices. Ends with the drive."""
         assert self._process.stdout is not None
         driven_s: float | None = None
         while True:

@@ -28,7 +28,7 @@ def replay(
     poses: Path | None = None,
     ports: bool = False,
 ) -> int:
-    """Put a capture's bytes through the same drivers, filter and mapper; the same capture gives the same map, bit for bit.
+    """Put a capture's bytes through the same drivers, filter and mapper: the same map again, bit for bit.
 
     Parameters
     ----------
