@@ -99,7 +99,7 @@ def test_hits_lie_on_the_top_surface_or_on_a_vertical_face() -> None:
 def test_a_level_ray_meets_the_riser_of_a_stair() -> None:
     """Vertical faces are real: a level ray 7 cm above the ground stops exactly at the first riser."""
     distance = cast(build_terrain("stairs"), np.array([[0.5, 0.0, 0.07]]), np.array([[1.0, 0.0, 0.0]]), 30.0)
-    assert distance[0] == pytest.approx(1.5, abs=1e-12)
+    assert distance[0] == pytest.approx(3.0, abs=1e-12)
 
 
 def test_beyond_the_range_there_is_nothing() -> None:

@@ -39,7 +39,7 @@ def test_a_scene_repeats_by_its_seed(scene: str) -> None:
 
 def test_stairs_have_treads_of_34_cm_and_rise_14_cm_each() -> None:
     """The top surface climbs step by step to the landing."""
-    x = np.linspace(2.17, 2.17 + 7 * 0.34, 8)
+    x = np.linspace(3.67, 3.67 + 7 * 0.34, 8)
     steps = build_terrain("stairs").height(x, np.zeros(8))
     np.testing.assert_allclose(steps, 0.14 * np.array([1, 2, 3, 4, 5, 6, 6, 6]), atol=1e-12)
 
