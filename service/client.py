@@ -5,7 +5,6 @@ the present one, bit for bit in the published quantisation, once the link has be
 """
 
 import atexit
-import json
 import threading
 import time
 from collections import Counter, deque
@@ -35,6 +34,7 @@ from service.messages import (
     read_anchor,
     read_plain,
     read_pose,
+    write_anchor,
 )
 from service.messages import DigestEntry as Entry
 from service.publisher import MAP_FRAME
@@ -222,23 +222,13 @@ class RemoteMap:
         chosen = max(numbers, default=0) if submap is None else submap
         tiles = [tile for tile in tiles if tile.submap == chosen]
         resolution_m = tiles[0].resolution_m if tiles else self._announced_resolution_m()
-        save(assemble(tiles, resolution_m, MAP_FRAME, self._anchor_text()), path)
+        place = "" if self.anchor is None else write_anchor(self.anchor).decode()
+        save(assemble(tiles, resolution_m, MAP_FRAME, place), path)
 
     def _announced_resolution_m(self) -> float:
         """Of a map without tiles."""
         value = self.info.get("resolution_m")
         return float(value) if isinstance(value, int | float) and isfinite(value) and value > 0 else 1.0
-
-    def _anchor_text(self) -> str:
-        anchor = self.anchor
-        if anchor is None:
-            return ""
-        origin = {name: getattr(anchor, name) for name in ("origin_lat_deg", "origin_lon_deg", "origin_alt_m")}
-        bounds = {
-            name: [float(bound) if np.isfinite(bound) else None for bound in values]
-            for name, values in (("low", anchor.low), ("high", anchor.high))
-        }
-        return json.dumps(origin | bounds)
 
     # The receiving thread
 

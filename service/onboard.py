@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 from drivers.capture import CaptureWriter
 from drivers.clock import Clock
@@ -46,6 +47,10 @@ class Unpublished:
         """Never."""
         return False
 
+    def state(self) -> dict[str, Any]:
+        """Nothing to tell."""
+        return {}
+
     def flush(self, timeout_s: float) -> bool:
         """Nothing is waiting."""
         return True
@@ -79,7 +84,8 @@ class Onboard:
         self.queue = SampleQueue()
         self.devices = wiring(loaded) if devices is None else devices
         self.health = Health()
-        self.publisher = Publisher(config.publish, config.robot.name) if publish else Unpublished()
+        about = {"resolution_m": config.map.resolution_m}
+        self.publisher = Publisher(config.publish, config.robot.name, about) if publish else Unpublished()
         self._failure: BaseException | None = None
         self._loaded = loaded
         self._capture_path = capture
@@ -198,7 +204,7 @@ class Onboard:
                 tiles=tiles,
                 pose=self.pipeline.filter.latest(),
                 anchor=self.pipeline.filter.anchor,
-                health=self.health.snapshot(now_ns),
+                health=self.health.snapshot(now_ns) | {"publisher": self.publisher.state()},
                 guarantee=self.pipeline.filter.guarantee,
                 released_ns=self.pipeline.released_ns,
             )
