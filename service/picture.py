@@ -101,6 +101,10 @@ def draw(path: Path, saved: SavedMap, drive_xy: Array, profile: Profile, labels:
 
     lower, upper = _bounds_along(saved, profile)
     along = profile.along_m
+    unseen = np.isnan(lower)
+    cut.fill_between(
+        along, 0, 1, where=unseen, transform=cut.get_xaxis_transform(), color="0.93", label="never hit by a beam"
+    )
     cut.fill_between(along, lower, upper, step="mid", color="tab:blue", alpha=0.25, label="inside the bounds")
     cut.step(along, upper, where="mid", color="tab:blue", linewidth=1.2, label="upper bound")
     cut.step(along, lower, where="mid", color="navy", linewidth=1.2, label="lower bound")

@@ -72,7 +72,7 @@ def demo(
     (output / "drive.mcap").unlink(missing_ok=True)
     with ExitStack() as stack:
         ports = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="terrabound-")))
-        loaded = _configuration(ports)
+        loaded = demo_configuration(ports)
         robot = stack.enter_context(
             EmulatedRobot(
                 ports / "demo.toml", ports, scene=scene, duration_s=duration, speed=speed, seed=seed, errors=errors
@@ -111,7 +111,7 @@ def demo(
     return 0 if evaluation.sound and evaluation.remote_equal else 1
 
 
-def _configuration(folder: Path) -> LoadedConfig:
+def demo_configuration(folder: Path) -> LoadedConfig:
     """The demo's configuration: ports in `folder`, and a free TCP port for the subscriber."""
     source = shipped_config("demo.toml")
     shutil.copy(shipped_config("tracks.dbc"), folder)
