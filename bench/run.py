@@ -24,18 +24,18 @@ def _heading() -> str:
     cpu_lines = Path("/proc/cpuinfo").read_text().splitlines()
     model = next((line.split(":", 1)[1].strip() for line in cpu_lines if "model name" in line), platform.processor())
     return (
-        f"# Measurements\n\n`make bench` writes this page. {datetime.now(UTC):%Y-%m-%d}; {model}, {os.cpu_count()} cores, "
-        f"load {os.getloadavg()[0]:.1f} at the start; Python {platform.python_version()}.\n"
+        f"# Measurements\n\n`make bench` writes this page. {datetime.now(UTC):%Y-%m-%d}; {model}, "
+        f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the start; Python {platform.python_version()}.\n"
         "A shared machine: trust ratios.\n"
     )
 
 
 LINE_TEXT = """## The whole line
 
-`terrabound demo`'s emulated robot (laser 180 degrees / 1 degree at 75 Hz and 500 kBd, 400 inertial packets, 100 encoder
-readings and 10 fixes a second) over pseudo-terminals into the service; tiles over Zenoh to a second process. CPU is that
-of the service's process, as a share of one core per second of the drive; latency runs from the read of the last byte that
-a scan waited for (beyond the reordering window) to its tile at the subscriber.
+`terrabound demo`'s emulated robot (laser 180 degrees / 1 degree at 75 Hz and 500 kBd, 400 inertial packets, 100
+encoder readings and 10 fixes a second) over pseudo-terminals into the service; tiles over Zenoh to a second process.
+CPU is that of the service's process, as a share of one core per second of the drive; latency runs from the read of the
+last byte that a scan waited for (beyond the reordering window) to its tile at the subscriber.
 
 | speed | driven | reached | scans/s mapped | service CPU | latency p50 | p99 | dropped |
 |---|---|---|---|---|---|---|---|
