@@ -113,6 +113,7 @@ class Health:
         self._unanswered_ns: int | None = None
         """When the first sample came that the pipeline has not answered; None where it owes nothing."""
         self._answered_ns: int | None = None
+        self._troubles: dict[str, str] = {}
         self._alive_ns: dict[str, int] = {}
         """When each reader last looked up."""
 
@@ -120,6 +121,20 @@ class Health:
         """Keep an eye on a device: silence longer than `stale_after_s` is a fault; `counts` are its protocol's own."""
         with self._lock:
             self._devices[name] = _Device(round(stale_after_s * 1e9), {} if counts is None else counts)
+
+    def trouble(self, what: str, text: str | None) -> None:
+        """Something beside the devices fails (`recording`, `saving`), and the service goes on; None: it works again."""
+        with self._lock:
+            if text is None:
+                self._troubles.pop(what, None)
+            else:
+                self._troubles[what] = text
+
+    @property
+    def troubles(self) -> dict[str, str]:
+        """What fails beside the devices, and why."""
+        with self._lock:
+            return dict(self._troubles)
 
     def alive(self, name: str, now_ns: int) -> None:
         """The device's reader is at work: it reads, waits for bytes, or tries to open its port."""
@@ -176,8 +191,9 @@ class Health:
         """One line for `systemctl status`."""
         with self._lock:
             states = ", ".join(f"{name} {device.state(now_ns).lower()}" for name, device in self._devices.items())
-            guarantee = self._guarantee
-        return states if guarantee.intact else f"bounds contradicted by {guarantee.sensor}; {states}"
+            guarantee, troubles = self._guarantee, list(self._troubles)
+        failing = "".join(f"{what} fails; " for what in troubles)
+        return failing + (states if guarantee.intact else f"bounds contradicted by {guarantee.sensor}; {states}")
 
     def snapshot(self, now_ns: int) -> dict[str, Any]:
         """Everything, as plain values for JSON."""
@@ -193,6 +209,7 @@ class Health:
                 },
                 "devices": {name: self._device(name, device, now_ns) for name, device in self._devices.items()},
                 "pipeline": dict(self._pipeline),
+                "troubles": dict(self._troubles),
             }
 
     def _flowing(self, now_ns: int) -> bool:

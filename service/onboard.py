@@ -13,6 +13,7 @@ from typing import Any
 
 from drivers.capture import CaptureWriter
 from drivers.clock import Clock
+from drivers.errors import CaptureError, TerraboundError
 from estimator.bounded_pose import BoundedPose
 from service.config import LoadedConfig
 from service.devices import Device, can_frames, wiring
@@ -112,7 +113,7 @@ class Onboard:
             capture = CaptureWriter(
                 self._capture_path, self._loaded.text, self._loaded.dbc_text(), can_frames(self.devices)
             )
-            self._resources.callback(capture.close)
+            self._resources.callback(self._end_recording, capture)
         self.publisher.start()
         # A reader that wakes up then waits this long at most for the interpreter, instead of 5 ms.
         sys.setswitchinterval(0.0005)
@@ -151,6 +152,22 @@ class Onboard:
         if path is not None:
             save_map(self.pipeline, path)
 
+    def _end_recording(self, capture: CaptureWriter) -> None:
+        """Close the capture; where the disk refuses its index, the recording replays without it."""
+        try:
+            capture.close()
+        except CaptureError as error:
+            self.health.trouble("recording", str(error))
+
+    def _save_in_passing(self) -> None:
+        """Save while running: a full disk is told, and mapping goes on."""
+        try:
+            self.save_map()
+        except TerraboundError as error:
+            self.health.trouble("saving", str(error))
+        else:
+            self.health.trouble("saving", None)
+
     def request_save(self) -> None:
         """Have the pipeline thread save the map when it next has a moment."""
         self._save_wanted.set()
@@ -172,7 +189,7 @@ class Onboard:
                 self._offer()
                 if self._save_wanted.is_set():
                     self._save_wanted.clear()
-                    self.save_map()
+                    self._save_in_passing()
             self.pipeline.finish()
             self._offer(last=True)
         except BaseException as error:

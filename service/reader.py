@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from drivers.capture import CaptureWriter
 from drivers.clock import Clock
-from drivers.errors import PortError
+from drivers.errors import CaptureError, PortError
 from drivers.transports import Transport
 from service.devices import Device
 from service.health import Health
@@ -89,8 +89,7 @@ class Reader:
         protocol, name = self.protocol, self._device.name
         opened_ns = self._clock.now_ns()
         protocol.connection_made(opened_ns)
-        if self._capture is not None:
-            self._capture.write(name, b"", opened_ns, time.time_ns())  # an empty chunk: the port was opened here
+        self._record(b"", opened_ns)  # an empty chunk: the port was opened here
         self._health.port_opened(name)
         while not self._stopping.is_set():
             if request := protocol.data_to_send():
@@ -104,8 +103,7 @@ class Reader:
                 protocol.advance(now_ns)
             if not data:
                 continue
-            if self._capture is not None:
-                self._capture.write(name, data, now_ns, time.time_ns())
+            self._record(data, now_ns)
             samples = protocol.receive_data(data, now_ns)
             if samples:
                 self._queue.put([Arrival(name, sample, received_ns) for sample in samples])
@@ -113,6 +111,16 @@ class Reader:
             self._health.received(name, len(data), len(samples), received_ns)
             if self._acknowledge is not None:
                 self._acknowledge(name, self._total_bytes)
+
+    def _record(self, data: bytes, now_ns: int) -> None:
+        """Into the capture, if there is one; where the disk refuses, mapping goes on without it."""
+        if self._capture is None:
+            return
+        try:
+            self._capture.write(self._device.name, data, now_ns, time.time_ns())
+        except CaptureError as error:
+            self._capture = None
+            self._health.trouble("recording", str(error))
 
     def _patience_s(self) -> float:
         """How long the next read may wait: until the protocol's deadline, and never too long."""

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from drivers.capture import CaptureWriter
 from drivers.clock import SystemClock
+from drivers.errors import CaptureError
 from service.config import load
 from service.devices import can_frames, wiring
 from service.health import Health
@@ -40,6 +41,11 @@ def record(*, config: Path, output: Path) -> int:
             reader.start()
             stack.callback(reader.stop)
         while not ended.wait(0.5):
+            if failure := health.troubles.get("recording"):
+                raise CaptureError(failure)
+            for reader in readers:
+                if reader.failure is not None:
+                    raise reader.failure
             queue.take(0)  # samples are parsed for the states below only
             if sys.stderr.isatty():
                 states = health.status_line(time.monotonic_ns())
