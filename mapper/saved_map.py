@@ -82,6 +82,8 @@ def save(saved: SavedMap, path: Path) -> None:
 
 def load(path: Path) -> SavedMap:
     """Read a file that `save`, or anything that keeps to the format, wrote."""
+    if path.is_file() and not zipfile.is_zipfile(path):
+        raise MapFileError(f"{path}: no terrain map: not an .npz file")
     try:
         with np.load(path, allow_pickle=False) as file:
             low, high, resolution, origin, frame, anchor = (file[name] for name in _ENTRIES)

@@ -13,34 +13,47 @@ from drivers.errors import ConfigurationError, TerraboundError
 
 EXIT_FAILED, EXIT_USAGE, EXIT_CONFIG, EXIT_INTERRUPTED = 1, 2, 78, 130
 
-app = App(
-    name="terrabound",
-    help="Terrain maps with guaranteed bounds, live on a tracked robot.",
-    version=lambda: version("terrabound"),
-    help_epilogue="Start with: terrabound demo",
-)
+COMMANDS = {
+    "demo": ("demo:demo", "See it work without hardware: an emulated robot, its map, and the truth held against it."),
+    "run": ("run:run", "The service on the robot: sensors in, tiles of the map out."),
+    "check": ("check:check", "Configuration, devices, rates: what is wrong, and how to mend it."),
+    "record": ("record:record", "The sensors' raw bytes into a capture, nothing else."),
+    "replay": ("replay:replay", "The map from a capture."),
+    "decode": ("decode:app", "Raw bytes of one device, from a file, as JSON Lines."),
+    "listen": ("listen:app", "One device on a live port, as JSON Lines."),
+    "watch": ("watch:watch", "A remote copy of a robot's map."),
+    "export": ("export:export", "A saved map as another program's file."),
+    "emulate": ("emulate:app", "One device, or the whole robot, on pseudo-terminals."),
+}
+"""Where each command stands under service/commands/, and its line on the page of all commands."""
 
-# Commands are imported when called, so that `--help` is quick and `decode` needs no network library.
-app.command("service.commands.demo:demo")
-app.command("service.commands.run:run")
-app.command("service.commands.check:check")
-app.command("service.commands.record:record")
-app.command("service.commands.replay:replay")
-app.command("service.commands.decode:decode")
-app.command("service.commands.listen:listen")
-app.command("service.commands.watch:watch")
-app.command("service.commands.export:export")
-app.command("service.commands.emulate:app", name="emulate")
+
+def _app(arguments: list[str]) -> App:
+    """The command line. Commands are imported when called, so that `--help` is quick and `decode` needs no network.
+
+    So the page of all commands needs their lines beforehand; a command's own page has its docstring.
+    """
+    app = App(
+        name="terrabound",
+        help="Terrain maps with guaranteed bounds, live on a tracked robot.",
+        version=lambda: version("terrabound"),
+        help_epilogue="Start with: terrabound demo",
+    )
+    for name, (where, line) in COMMANDS.items():
+        described = {} if name in arguments[:1] else {"help": line}
+        app.command(f"service.commands.{where}", name=name, **described)
+    return app
 
 
 def main() -> None:
     """Run the command line; one clear line instead of a traceback for what a person can mend."""
-    sys.exit(_exit_code(sys.argv[1:]))
+    sys.exit(run_command(sys.argv[1:]))
 
 
-def _exit_code(arguments: list[str]) -> int:
+def run_command(arguments: list[str]) -> int:
+    """Run one command; returns the exit code."""
     try:
-        result = app(arguments, exit_on_error=False, print_error=True, result_action="return_value")
+        result = _app(arguments)(arguments, exit_on_error=False, print_error=True, result_action="return_value")
     except CycloptsError:
         return EXIT_USAGE
     except ConfigurationError as error:
@@ -53,10 +66,23 @@ def _exit_code(arguments: list[str]) -> int:
         print("terrabound: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
     except BrokenPipeError:
-        # The reader of our output left (`| head`): nothing more to say, also not at interpreter exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        # The reader of our output left (`| head`): nothing more to say.
+        _forget_output()
         return 0
+    except OSError as error:
+        # A full disk, a folder that may not be written: the system's own words name the file and the reason.
+        print(f"terrabound: {error}", file=sys.stderr)
+        _forget_output()
+        return EXIT_FAILED
     return result if isinstance(result, int) else 0
+
+
+def _forget_output() -> None:
+    """What could not be written to standard output shall not be tried again when the interpreter ends."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 if __name__ == "__main__":

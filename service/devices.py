@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from drivers.errors import ConfigurationError
 from drivers.gps_nmea.protocol import GpsProtocol
 from drivers.imu.protocol import ImuProtocol
 from drivers.protocol import DeviceProtocol
@@ -32,6 +33,10 @@ def wiring(loaded: LoadedConfig) -> tuple[Device, ...]:
     devices = loaded.config.devices
     laser, encoders, imu, gps = devices.laser, devices.encoders, devices.imu, devices.gps
     dbc_text = loaded.dbc_text()
+    try:
+        TrackEncoderProtocol(encoders, dbc_text)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"devices.encoders: {error}") from None
     framed = encoders.interface == "socketcan"
     encoder_port = encoders.port if framed else _port(loaded, encoders.port)
     table = [

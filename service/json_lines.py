@@ -2,18 +2,37 @@
 
 import json
 import math
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from drivers.samples import Fix, InertialSample, Sample, Scan, WheelTicks
 
 
-def sample_line(sample: Sample) -> str:
-    """One sample as one line; absent values are null."""
-    return json.dumps(_fields(sample), allow_nan=False, separators=(",", ":"))
+def print_samples(samples: Iterable[tuple[int, Sample]]) -> int:
+    """Print samples with their times, at once; returns how many."""
+    lines = [sample_line(sample, stamp_ns) for stamp_ns, sample in samples]
+    if lines:
+        print("\n".join(lines), flush=True)
+    return len(lines)
 
 
-def _fields(sample: Sample) -> dict[str, Any]:
-    stamp_ns = sample.stamp.mid_ns
+def counts_line(byte_count: int, sample_count: int, counts: Mapping[str, int]) -> str:
+    """What happened, as one line."""
+    told = {
+        "bytes": byte_count,
+        "lines": sample_count,
+        **{name: counts[name] for name in sorted(counts) if counts[name]},
+    }
+    return "counts: " + " ".join(f"{name}={count}" for name, count in told.items())
+
+
+def sample_line(sample: Sample, stamp_ns: int | None = None) -> str:
+    """One sample as one line; absent values are null. The time is the middle of its stamp, unless given."""
+    stamp_ns = sample.stamp.mid_ns if stamp_ns is None else stamp_ns
+    return json.dumps(_fields(sample, stamp_ns), allow_nan=False, separators=(",", ":"))
+
+
+def _fields(sample: Sample, stamp_ns: int) -> dict[str, Any]:
     match sample:
         case Scan():
             return {
@@ -51,5 +70,5 @@ def _fields(sample: Sample) -> dict[str, Any]:
 
 
 def _finite(value: float) -> float | None:
-    """JSON knows no NaN and no infinity."""
-    return round(value, 9) if math.isfinite(value) else None
+    """JSON knows no NaN and no infinity; zero needs no sign."""
+    return round(value, 9) + 0.0 if math.isfinite(value) else None

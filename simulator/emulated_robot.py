@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeAlias
 
 from drivers.clock import LockstepClock, SystemClock
 from drivers.config import DevicesConfig, LatencyMs
@@ -93,9 +93,16 @@ class Wire:
     def _on_the_line(self, data: bytes, rate: int | None = None) -> bytes:
         """What the other end makes of bytes: themselves at one rate, garbage where the rates differ."""
         rate = self.emulator.baud if rate is None else rate
-        if rate is None or self.port.host_baud == rate:
-            return data
-        return bytes((0x5B * byte + 0x9D) & 0xFF | 0x80 for byte in data)
+        return data if rate is None else as_heard(data, rate, self.port.host_baud)
+
+
+def as_heard(data: bytes, sent_at: int, read_at: int | None) -> bytes:
+    """What a line makes of bytes: themselves where both ends have one rate, garbage where the rates differ."""
+    return data if read_at == sent_at else bytes((0x5B * byte + 0x9D) & 0xFF | 0x80 for byte in data)
+
+
+PluggedWires: TypeAlias = Mapping[str, Wire]
+"""The wires of the emulated robot by the names of their devices."""
 
 
 def run_emulated_robot(
@@ -110,6 +117,7 @@ def run_emulated_robot(
     on_progress: Callable[[Progress], None] = print_progress,
     stopping: threading.Event | None = None,
     stay: bool = False,
+    meddle: Callable[[PluggedWires, float], None] | None = None,
 ) -> None:
     """Open the ports, wait for the hosts, drive to the end of the world's drive, write the truth.
 
@@ -118,11 +126,12 @@ def run_emulated_robot(
     clock: in lockstep, whose `now_ns` is the world's `start_ns`; None: real time on the system's clock.
     speed: in lockstep, times real time; None: as fast as the hosts can. Before the drive it is never above 1.
     stopping, or Ctrl-C: end early, the truth is still written. stay: after the drive, stand still until stopped.
+    meddle: called before each slice of the drive with the wires and the seconds driven, to pull plugs and the like.
     """
     stopping = stopping or threading.Event()
-    plugged = _plug_in(world, devices, links, slice_ns)
+    plugged = _plug_in(world, devices, links, slice_ns, world.start_ns if clock else SystemClock().now_ns())
     try:
-        _Run(world, plugged, clock, speed, slice_ns, on_progress, stopping, stay).run(truth_path)
+        _Run(world, plugged, clock, speed, slice_ns, on_progress, stopping, stay, meddle).run(truth_path)
     finally:
         for wire in plugged.wires:
             wire.port.close()
@@ -155,10 +164,11 @@ class _Run:
         on_progress: Callable[[Progress], None],
         stopping: threading.Event,
         stay: bool,
+        meddle: Callable[[PluggedWires, float], None] | None,
     ) -> None:
         self._world, self._devices, self._clock = world, devices, clock
         self._speed, self._slice_ns, self._stay = speed, slice_ns, stay
-        self._on_progress, self._stopping = on_progress, stopping
+        self._on_progress, self._stopping, self._meddle = on_progress, stopping, meddle
         self._now_ns = (clock or SystemClock()).now_ns()
         self._drive_start_ns: int | None = None
         self._reported_ns: int | None = None
@@ -192,6 +202,8 @@ class _Run:
     def _slice(self, pace: "_Pace") -> None:
         """One slice of time."""
         driving, heard = self._drive_start_ns is not None, self._devices.heard
+        if self._meddle is not None and self._drive_start_ns is not None:
+            self._meddle({wire.name: wire for wire in self._wires}, (self._now_ns - self._drive_start_ns) * 1e-9)
         pace.wait(self._slice_ns, driving or heard)
         self._now_ns = self._now_ns + self._slice_ns if self._clock is not None else SystemClock().now_ns()
         if self._clock is not None:
@@ -250,9 +262,25 @@ class _Pace:
             time.sleep(left_s)
 
 
-def _plug_in(world: World, devices: DevicesConfig, links: Mapping[str, Path] | Path, slice_ns: int) -> _Devices:
-    """Switch the devices on and plug them in."""
-    start_ns = world.start_ns
+def _plug_in(
+    world: World, devices: DevicesConfig, links: Mapping[str, Path] | Path, slice_ns: int, start_ns: int
+) -> _Devices:
+    """Switch the devices on at `start_ns` and plug them in."""
+    laser, encoders, emulators = emulate_devices(world, devices, slice_ns, start_ns)
+    paths = {name: links / name for name in DEVICES} if isinstance(links, Path) else links
+    wires = []
+    for name in [name for name in emulators if name in paths]:
+        if paths[name].exists() and not paths[name].is_symlink():
+            raise ConfigurationError(f"{paths[name]}: exists and is no link; name another path for the emulated port")
+        paths[name].parent.mkdir(parents=True, exist_ok=True)
+        wires.append(Wire(name, emulators[name], PseudoPort(paths[name])))
+    return _Devices(laser, encoders, wires)
+
+
+def emulate_devices(
+    world: World, devices: DevicesConfig, slice_ns: int, start_ns: int
+) -> tuple[SickLmsEmulator, TrackEncodersEmulator, dict[str, Emulator]]:
+    """The robot's devices, switched on at `start_ns`: the laser, the encoders, and all of them by name."""
     imu, gps = devices.imu, devices.gps
     laser = SickLmsEmulator(world.measure, start_ns=start_ns)
     encoders = TrackEncodersEmulator(
@@ -283,12 +311,7 @@ def _plug_in(world: World, devices: DevicesConfig, links: Mapping[str, Path] | P
             quality=4 if world.rtk else 2,
             sigma_m=world.gst_sigma_m,
         )
-    paths = {name: links / name for name in DEVICES} if isinstance(links, Path) else links
-    wires = []
-    for name in [name for name in emulators if name in paths]:
-        paths[name].parent.mkdir(parents=True, exist_ok=True)
-        wires.append(Wire(name, emulators[name], PseudoPort(paths[name])))
-    return _Devices(laser, encoders, wires)
+    return laser, encoders, emulators
 
 
 def _latency_ns(device: str, latency_ms: LatencyMs, slice_ns: int) -> int:

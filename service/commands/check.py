@@ -2,12 +2,15 @@
 
 import threading
 import time
+from dataclasses import astuple
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter, validators
+from rich.box import SIMPLE
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
+from rich.text import Text
 
 from drivers.clock import SystemClock
 from service.config import load
@@ -37,7 +40,7 @@ def check(
     console = Console()
     loaded = load(config)
     devices = wiring(loaded)
-    console.print(f"{config}: configuration is valid")
+    console.print(f"{config}: configuration is valid", markup=False, highlight=False, soft_wrap=True)
     if seconds == 0:
         return 0
     health, queue, ended = Health(), SampleQueue(capacity=1024), threading.Event()
@@ -52,38 +55,46 @@ def check(
         snapshot = health.snapshot(time.monotonic_ns())["devices"]
         for reader in readers:
             reader.stop()
-    table = Table("device", "port", "state", "identity", "samples/s", "bytes/s", "counts")
-    problems = []
+    table = Table("device", "state", "samples/s", "bytes/s", Column("port", overflow="fold"), box=SIMPLE)
+    remarks, problems = [], []
     for device, reader in zip(devices, readers, strict=True):
         row = snapshot[device.name]
-        identity = getattr(reader.protocol, "identity", None)
-        counts = " ".join(f"{name}={count}" for name, count in sorted(row["counts"].items()) if count)
-        table.add_row(
-            device.name,
-            device.port,
-            row["state"],
-            str(identity or ""),
-            f"{row['samples_per_s']:.1f}",
-            f"{row['bytes_per_s']:.0f}",
-            counts,
-        )
+        state, port = Text(row["state"].lower()), Text(device.port)
+        table.add_row(device.name, state, f"{row['samples_per_s']:.1f}", f"{row['bytes_per_s']:.0f}", port)
+        remarks.append(_remark(device, row, reader))
         if row["state"] != DeviceState.STREAMING:
-            problems.append(_advice(device, row))
+            problems.append(_advice(device, row, reader))
     console.print(table)
-    for problem in problems:
-        console.print(problem, style="red", soft_wrap=True)
+    for line in filter(None, remarks):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    for line in problems:
+        console.print(line, style="red", markup=False, highlight=False, soft_wrap=True)
+    if not problems:
+        console.print("all devices stream", style="green")
     return 1 if problems else 0
 
 
-def _advice(device: Device, row: dict[str, object]) -> str:
+def _remark(device: Device, row: dict[str, Any], reader: Reader) -> str:
+    """Who the device says that it is, and what its protocol has counted."""
+    identity = getattr(reader.protocol, "identity", None)
+    words = [str(value) for value in astuple(identity) if value] if identity else []
+    words += [f"{name}={count}" for name, count in sorted(row["counts"].items()) if count]
+    return f"{device.name}: {' '.join(words)}" if words else ""
+
+
+def _advice(device: Device, row: dict[str, Any], reader: Reader) -> str:
     """What is wrong with a device, and what to do."""
+    state = getattr(reader.protocol, "state", "")
+    where = f" ({state})" if state else ""
     match row["state"]:
         case DeviceState.CONNECTING | DeviceState.LOST:
             return f"{device.name}: {row['failure'] or f'{device.port}: not opened yet; listen longer (--seconds)'}"
         case DeviceState.STALE:
-            return f"{device.name}: {device.port} is silent; check the device's power, its cable, and its rate"
+            return f"{device.name}: {device.port} is silent{where}; check the device's power, its cable, and its rate"
+        case _ if state.startswith("halted"):
+            return f"{device.name}: {device.port}: {state}"
         case _:
             return (
-                f"{device.name}: {device.port} gives bytes that are partly or wholly not understood; "
+                f"{device.name}: {device.port} gives bytes that are partly or wholly not understood{where}; "
                 "check the rate, the wiring, and that the right device is on this port"
             )

@@ -1,54 +1,151 @@
 """`terrabound decode`: raw bytes of one device from a file, as JSON Lines."""
 
 import sys
+from collections.abc import Iterator
+from io import BufferedReader
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal, TypeAlias, cast
 
-from cyclopts import Parameter
+from cyclopts import App, Parameter
 
 from drivers.errors import CaptureError
-from service.json_lines import sample_line
-from service.passive import DeviceKind, passive_decoder
+from service.json_lines import counts_line, print_samples
+from service.passive import (
+    EncodersFile,
+    GpsFile,
+    ImuFile,
+    LmsFile,
+    PassiveDecoder,
+    encoders_config,
+    gps_config,
+    read_dbc,
+)
 
-CHUNK_BYTES = 4096
+CHUNK_BYTES = 1 << 16
+
+File: TypeAlias = Annotated[Path, Parameter(allow_leading_hyphen=True)]
+MeasuringMode: TypeAlias = Literal[0, 1, 2, 3, 4, 5, 6, 15]
+
+app = App(
+    name="decode",
+    help="Raw bytes of one device, from a file, as JSON Lines on standard output; counts go to standard error.",
+    help_epilogue="FILE may be - for standard input. One JSON object a line; absent values are null.",
+)
 
 
-def decode(
-    device: DeviceKind,
-    file: Path,
-    /,
-    *,
-    dbc: Path | None = None,
-    left: str | None = None,
-    right: str | None = None,
-    unit: Annotated[str, Parameter(help="laser unit where the stream does not tell: cm or mm")] = "cm",
-) -> int:
-    """Decode raw bytes of one device into JSON Lines on standard output; counts go to standard error.
+@app.command
+def lms(file: File, /, *, measuring_mode: MeasuringMode | None = None) -> int:
+    """Scans of a SICK LMS2xx, from all that the scanner sent.
+
+    {"kind":"scan","stamp_ns":0,"angle_min_rad":..,"angle_increment_rad":..,"ranges_m":[2.623,null,..],"status":16}
+
+    Angles count from straight ahead to the left; null is a beam without distance. A file doesn't tell when the bytes
+    came, so stamp_ns is 0.
 
     Parameters
     ----------
-    device
-        lms, encoders, imu or gps.
     file
-        Bytes as the port gave them; for encoders slcan text or a candump log; "-" reads standard input.
-    dbc
-        Encoders: the DBC file.
-    left
-        Encoders: MESSAGE.SIGNAL of the left counter.
-    right
-        Encoders: MESSAGE.SIGNAL of the right counter.
+        The bytes as the serial port gave them.
+    measuring_mode
+        The scanner's measuring mode, which tells how many bits of a value are distance. Without it, it is taken from
+        configuration or status telegrams in the file, or else inferred from the values.
     """
-    decoder = passive_decoder(device, dbc=dbc, left=left, right=right, unit=unit)
+    return _decode(LmsFile(measuring_mode), file)
+
+
+@app.command
+def encoders(file: File, /, *, dbc: Path, left: str, right: str) -> int:
+    """Track counters in CAN frames, from slcan text or a candump log (`candump -l`); which one it is, is found out.
+
+    {"kind":"ticks","stamp_ns":..,"left":..,"right":..}
+
+    Counts are raw integers, unwrapped. stamp_ns is the time of the log's line; slcan text has none, it is 0 there.
+
+    Parameters
+    ----------
+    file
+        What the slcan adapter sent, or a candump log.
+    dbc
+        DBC file that describes the messages.
+    left
+        MESSAGE.SIGNAL of the left track's counter.
+    right
+        MESSAGE.SIGNAL of the right track's counter.
+    """
+    return _decode(EncodersFile(encoders_config(left, right), read_dbc(dbc)), file)
+
+
+@app.command
+def imu(file: File, /) -> int:
+    """Inertial messages of a MAVLink stream (versions 1 and 2).
+
+    {"kind":"inertial","stamp_ns":..,"message":"RAW_IMU","id":0,"accel_mps2":[x,y,z],"gyro_rps":[x,y,z],"tilt_rad":[roll,pitch]}
+
+    Axes are x ahead, y left, z up; absent ones are null. stamp_ns is the board's own clock.
+
+    Parameters
+    ----------
+    file
+        The bytes as the serial port gave them.
+    """
+    return _decode(ImuFile(), file)
+
+
+@app.command
+def gps(file: File, /, *, gst_factor: float = 5.0, range_error_m: float = 5.0) -> int:
+    """Fixes of a GPS receiver, one for each epoch with a valid position, from NMEA 0183 sentences.
+
+    {"kind":"fix","stamp_ns":..,"utc":"..","lat_deg":..,"lon_deg":..,"alt_m":..,"quality":..,"hdop":..,"bound_m":[e,n,u]}
+
+    alt_m is above the WGS-84 ellipsoid. stamp_ns is the fix's UTC since 1970, or 0 while no date was told. bound_m
+    holds half-widths, which are as good as the two factors below.
+
+    Parameters
+    ----------
+    file
+        The bytes as the serial port gave them.
+    gst_factor
+        Half-width in standard deviations, where the receiver sends them (GST).
+    range_error_m
+        Half-width for each unit of HDOP, where it doesn't.
+    """
+    return _decode(GpsFile(gps_config(gst_factor, range_error_m)), file)
+
+
+def _decode(decoder: PassiveDecoder, file: Path) -> int:
+    """Print what the decoder finds, a chunk at a time, however long the file is."""
+    printed = byte_count = 0
+    stream = _open(file)
     try:
-        stream = sys.stdin.buffer if str(file) == "-" else file.open("rb")
-    except OSError as error:
-        raise CaptureError(f"{file}: cannot be read: {error.strerror}; give a file of raw bytes") from None
-    with stream:
-        # A file has no times of arrival: stamps count nanoseconds from its beginning, a chunk a step.
-        while data := stream.read(CHUNK_BYTES):
-            for sample in decoder.receive_data(data, 0):
-                print(sample_line(sample))
-    for sample in decoder.finish():
-        print(sample_line(sample))
-    print(decoder.summary(), file=sys.stderr)
+        for data in _chunks(file, stream):
+            byte_count += len(data)
+            printed += print_samples(decoder.receive_data(data))
+        printed += print_samples(decoder.finish())
+    finally:
+        print(counts_line(byte_count, printed, decoder.counts), file=sys.stderr)
+    if byte_count and not printed:
+        print("terrabound: nothing in these bytes could be decoded; are they of this device?", file=sys.stderr)
     return 0
+
+
+def _open(file: Path) -> BufferedReader:
+    """The file, or standard input."""
+    if str(file) == "-":
+        return cast(BufferedReader, sys.stdin.buffer)
+    try:
+        return file.open("rb")
+    except OSError as error:
+        raise _unreadable(file, error) from None
+
+
+def _chunks(file: Path, stream: BufferedReader) -> Iterator[bytes]:
+    """What the file holds; from a pipe what there is, at once."""
+    try:
+        while data := stream.read1(CHUNK_BYTES):
+            yield data
+    except OSError as error:
+        raise _unreadable(file, error) from None
+
+
+def _unreadable(file: Path, error: OSError) -> CaptureError:
+    return CaptureError(f"{file}: cannot be read: {error.strerror}; give a file of raw bytes")

@@ -3,6 +3,7 @@
 import sys
 import threading
 import time
+import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
@@ -29,7 +30,13 @@ Duration: TypeAlias = Annotated[float, Parameter(validator=validators.Number(gte
 LOCKSTEP_START_NS = 1_000_000_000_000
 """Where a virtual clock begins; any number would do."""
 
-app = App(name="emulate", help="Emulate the robot's devices on pseudo-terminals, so that anything can be tried without hardware.")
+STANDSTILL_S = 5.0
+"""Length of the drive that a single device never begins."""
+
+app = App(
+    name="emulate",
+    help="Emulate the robot's devices on pseudo-terminals, so that anything can be tried without hardware.",
+)
 
 
 @app.command
@@ -84,64 +91,95 @@ def robot(
     return 0
 
 
-def _device(name: str, link: Path, config: Path | None, scene: Scene, seed: int, errors: Law) -> int:
-    """One device alone, on a robot that stands still: its neighbours are not there."""
-    _emulate(
-        _loaded(config), {name: link}, scene, None, 3600.0, 1.0, seed, errors, None, None, _Line(f"{name} on {link}")
-    )
-    return 0
+Link: TypeAlias = Annotated[Path, Parameter(help="Symbolic link to make; open it as the device's port.")]
+Declared: TypeAlias = Annotated[
+    Path | None, Parameter(help="Configuration whose bounds the emulated errors keep; by default the demo's.")
+]
+Ground: TypeAlias = Annotated[Literal["stairs", "rough", "ramp", "flat"], Parameter(help="What the robot stands on.")]
+Seed: TypeAlias = Annotated[int, Parameter(help="Of terrain and sensor errors.")]
+Errors: TypeAlias = Annotated[Law, Parameter(help="How sensor errors are drawn inside their declared bounds.")]
 
 
 @app.command
 def lms(
     *,
-    link: Path = Path("laser"),
-    config: Path | None = None,
-    scene: Scene = "rough",
-    seed: int = 1,
-    errors: Law = "uniform",
+    link: Link = Path("laser"),
+    config: Declared = None,
+    scene: Ground = "rough",
+    seed: Seed = 1,
+    errors: Errors = "uniform",
 ) -> int:
-    """A SICK LMS221 on a pseudo-terminal: starts at 9600 baud, strict about its protocol."""
+    """A SICK LMS221 on a pseudo-terminal: starts at 9600 baud, strict about its protocol.
+
+    Its robot stands still. Until Ctrl-C. Hear it with `terrabound listen lms laser`.
+    """
     return _device("laser", link, config, scene, seed, errors)
 
 
 @app.command
 def encoders(
     *,
-    link: Path = Path("encoders"),
-    config: Path | None = None,
-    scene: Scene = "rough",
-    seed: int = 1,
-    errors: Law = "uniform",
+    link: Link = Path("encoders"),
+    config: Declared = None,
+    scene: Ground = "rough",
+    seed: Seed = 1,
+    errors: Errors = "uniform",
 ) -> int:
-    """Track encoders behind an slcan adapter on a pseudo-terminal."""
+    """Track encoders behind an slcan adapter on a pseudo-terminal: message TRACKS, counters LEFT and RIGHT.
+
+    Their robot stands still. Until Ctrl-C. Hear them with
+    `terrabound listen encoders encoders --dbc tracks.dbc --left TRACKS.LEFT --right TRACKS.RIGHT`.
+    """
     return _device("encoders", link, config, scene, seed, errors)
 
 
 @app.command
 def imu(
     *,
-    link: Path = Path("imu"),
-    config: Path | None = None,
-    scene: Scene = "rough",
-    seed: int = 1,
-    errors: Law = "uniform",
+    link: Link = Path("imu"),
+    config: Declared = None,
+    scene: Ground = "rough",
+    seed: Seed = 1,
+    errors: Errors = "uniform",
 ) -> int:
-    """The inertial board on a pseudo-terminal: MAVLink packets of gyroscope, two accelerometers and tilt sensor."""
+    """The inertial board on a pseudo-terminal: MAVLink packets of gyroscope, two accelerometers and tilt sensor.
+
+    Its robot stands still. Until Ctrl-C. Hear it with `terrabound listen imu imu`.
+    """
     return _device("imu", link, config, scene, seed, errors)
 
 
 @app.command
 def gps(
     *,
-    link: Path = Path("gps"),
-    config: Path | None = None,
-    scene: Scene = "rough",
-    seed: int = 1,
-    errors: Law = "uniform",
+    link: Link = Path("gps"),
+    config: Declared = None,
+    scene: Ground = "rough",
+    seed: Seed = 1,
+    errors: Errors = "uniform",
 ) -> int:
-    """A GPS receiver on a pseudo-terminal: NMEA sentences."""
+    """A GPS receiver on a pseudo-terminal: NMEA sentences, ten fixes a second.
+
+    Its robot stands still. Until Ctrl-C. Hear it with `terrabound listen gps gps`.
+    """
     return _device("gps", link, config, scene, seed, errors)
+
+
+def _device(name: str, link: Path, config: Path | None, scene: Scene, seed: int, errors: Law) -> int:
+    """One device alone, on a robot that stands still: its neighbours are not there."""
+    loaded = _loaded(config)
+    if name == "gps" and loaded.config.devices.gps is None:
+        raise ConfigurationError(f"{config}: has no [devices.gps]; a receiver's bounds must be declared to emulate it")
+    told = False
+
+    def tell(progress: Progress) -> None:
+        nonlocal told
+        if not told:
+            print(f"{name}: emulated on {link}; Ctrl-C ends it", file=sys.stderr, flush=True)
+        told = True
+
+    _emulate(loaded, {name: link}, scene, None, STANDSTILL_S, 1.0, seed, errors, None, None, tell)
+    return 0
 
 
 def robot_model(robot: RobotConfig) -> RobotModel:
@@ -163,11 +201,8 @@ def robot_model(robot: RobotConfig) -> RobotModel:
 class _Line:
     """The progress as a line that is rewritten, on a terminal."""
 
-    def __init__(self, what: str = "robot") -> None:
-        self._what = what
-
     def __call__(self, progress: Progress) -> None:
-        text = f"{self._what}: {progress.state}"
+        text = f"robot: {progress.state}"
         if progress.state == "driving":
             text += f", {progress.driven_s:.0f} of {progress.duration_s:.0f} s, {progress.scans} scans"
         if sys.stderr.isatty():
@@ -196,8 +231,14 @@ def _emulate(
         raise ConfigurationError("--scene dem needs --terrain FILE, an elevation model (.asc or .npz)")
     start_ns = time.monotonic_ns() if clock_path is None else LOCKSTEP_START_NS
     devices = loaded.config.devices
+    try:
+        ground = build_terrain(scene, seed, terrain)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile) as error:
+        if terrain is None:
+            raise
+        raise ConfigurationError(f"--terrain {terrain}: is no elevation model that can be read: {error}") from None
     world = World(
-        build_terrain(scene, seed, terrain),
+        ground,
         robot_model(loaded.config.robot),
         devices,
         ErrorLaw(errors, seed),

@@ -2,22 +2,24 @@
 
 from pathlib import Path
 
-from drivers.errors import CaptureError
 from mapper.export import export_map
+from mapper.saved_map import load
 
 
-def export(map_file: Path, output: Path, /) -> int:
+def export(map: Path, output: Path, /) -> int:  # noqa: A002  the argument's name is the contract
     """Convert a saved map; the output's ending says to what: .ply, .png or .npz.
+
+    .ply is a mesh of the middle surface, a vertex for each seen cell with its bounds `low` and `high` beside x, y, z.
+    .png is a picture of the middle and the width of the intervals (needs matplotlib: the extra `plots`).
+    .npz is a copy, readable with numpy alone.
 
     Parameters
     ----------
-    map_file
-        A map saved by run, replay or watch (.npz).
+    map
+        A map saved by run, replay, demo or watch (.npz).
     output
         File to write.
     """
-    if not map_file.exists():
-        raise CaptureError(f"{map_file}: no such map; `terrabound replay CAPTURE --map {map_file}` makes one")
-    export_map(map_file, output)
+    export_map(load(map), output)
     print(output)
     return 0

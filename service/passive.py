@@ -1,0 +1,228 @@
+"""One device's bytes from a file: nobody answers them, and a file seldom tells when they came.
+
+What `decode` and `listen` must declare of a device is for looking only: where the caller says nothing, latencies are
+zero and bounds are placeholders. Guaranteed samples come from a configuration, through service/devices.py.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any, Literal, Protocol, TypeAlias, TypeVar
+
+from pydantic import ValidationError
+
+from drivers.config import EncodersConfig, GpsConfig, ImuConfig, LaserConfig
+from drivers.errors import ConfigurationError
+from drivers.gps_nmea.protocol import GpsProtocol
+from drivers.imu.protocol import ImuProtocol
+from drivers.samples import Sample
+from drivers.sick_lms.stream import LmsStreamDecoder
+from drivers.track_encoders.codec import parse_candump_line
+from drivers.track_encoders.protocol import TrackEncoderProtocol
+
+Timed: TypeAlias = tuple[int, Sample]
+"""A sample, and the nanoseconds that its line shall tell."""
+
+_CANDUMP_LINE_BYTES = 256
+_CANDUMP = re.compile(rb"\(\d{1,10}\.\d{6,9}\) \S{1,32} [0-9A-Fa-f]{3,8}#")
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+C = TypeVar("C")
+
+
+class PassiveDecoder(Protocol):
+    """Bytes of a file in, samples out; see drivers/protocol.py for the names of the counts."""
+
+    counts: Counter[str]
+
+    def receive_data(self, data: bytes) -> Sequence[Timed]:
+        """The samples that `data` completes."""
+
+    def finish(self) -> Sequence[Timed]:
+        """The file has ended: what was still waited for."""
+
+
+class LmsFile:
+    """Scans; a file doesn't tell when they were shot."""
+
+    def __init__(self, measuring_mode: int | None = None) -> None:
+        self._stream = LmsStreamDecoder(measuring_mode)
+        self.counts = self._stream.counts
+
+    def receive_data(self, data: bytes) -> list[Timed]:
+        """Scans, at time 0."""
+        return [(0, scan) for scan in self._stream.receive_data(data)]
+
+    def finish(self) -> list[Timed]:
+        """Nothing: a telegram tells its length."""
+        return []
+
+
+class EncodersFile:
+    """Track counters, from slcan bytes (time 0) or a candump log (the times of its lines), whichever comes first."""
+
+    def __init__(self, config: EncodersConfig, dbc: str) -> None:
+        self._protocol = TrackEncoderProtocol(config, dbc)
+        self.counts = self._protocol.counts
+        self._is_candump: bool | None = None
+        self._partial = b""
+
+    def receive_data(self, data: bytes) -> list[Timed]:
+        """Ticks that `data` completes."""
+        if self._is_candump is None and data:
+            self._is_candump = data.lstrip().startswith(b"(") or _CANDUMP.search(data) is not None
+        if not self._is_candump:
+            return [(0, ticks) for ticks in self._protocol.receive_data(data, 0)]
+        *lines, self._partial = (self._partial + data).split(b"\n")
+        if len(self._partial) > _CANDUMP_LINE_BYTES:  # no line of a log any more
+            self.counts["skipped_bytes"] += len(self._partial) - _CANDUMP_LINE_BYTES
+            self._partial = self._partial[-_CANDUMP_LINE_BYTES:]
+        return [timed for line in lines for timed in self._receive_line(line)]
+
+    def finish(self) -> list[Timed]:
+        """The last line, if its end is missing."""
+        line, self._partial = self._partial, b""
+        return list(self._receive_line(line))
+
+    def _receive_line(self, line: bytes) -> Iterator[Timed]:
+        if not line.strip():
+            return
+        logged = parse_candump_line(line.decode("ascii", "replace").strip())
+        if logged is None:
+            self.counts["bad_lines"] += 1
+            return
+        for ticks in self._protocol.receive_frame(logged.frame, logged.stamp_ns):
+            yield ticks.stamp.mid_ns, ticks
+
+
+class ImuFile:
+    """Inertial samples, at the board's own time."""
+
+    def __init__(self) -> None:
+        # Only a board whose clock goes back has restarted: there is no host's clock beside it.
+        self._protocol = ImuProtocol(imu_config(latency_ms=(0.0, 1e12)))
+        self.counts = self._protocol.counts
+
+    def receive_data(self, data: bytes) -> list[Timed]:
+        """Samples that `data` completes."""
+        return [(1000 * (sample.device_time_us or 0), sample) for sample in self._protocol.receive_data(data, 0)]
+
+    def finish(self) -> list[Timed]:
+        """Nothing: a packet tells its length."""
+        return []
+
+
+class GpsFile:
+    """Fixes, at their UTC in nanoseconds since 1970 (0 while the receiver has told no date)."""
+
+    def __init__(self, config: GpsConfig) -> None:
+        self._protocol = GpsProtocol(config)
+        self.counts = self._protocol.counts
+
+    def receive_data(self, data: bytes) -> list[Timed]:
+        """Fixes that `data` completes."""
+        return [(_utc_ns(fix.utc), fix) for fix in self._protocol.receive_data(data, 0)]
+
+    def finish(self) -> list[Timed]:
+        """The last epoch's fix."""
+        return [(_utc_ns(fix.utc), fix) for fix in self._protocol.finish()]
+
+
+def laser_config(
+    baud: int, scan_angle_deg: int, resolution_deg: float, unit: Literal["mm", "cm"], write_configuration: bool
+) -> LaserConfig:
+    """A scanner somewhere, not mounted on anything."""
+    return declared(
+        LaserConfig,
+        port="",
+        baud=baud,
+        scan_angle_deg=scan_angle_deg,
+        resolution_deg=resolution_deg,
+        unit=unit,
+        write_configuration=write_configuration,
+        latency_ms=(0.0, 0.0),
+        range_bound_m=1.0,
+        angle_bound_deg=1.0,
+        mount_x_m=0.0,
+        mount_y_m=0.0,
+        mount_z_m=0.0,
+        mount_pitch_deg=0.0,
+        mount_position_bound_m=0.0,
+        mount_angle_bound_deg=0.0,
+    )
+
+
+def encoders_config(
+    left: str, right: str, interface: Literal["slcan", "socketcan"] = "slcan", bitrate: int = 500000
+) -> EncodersConfig:
+    """Two counters, in ticks."""
+    return declared(
+        EncodersConfig,
+        port="",
+        interface=interface,
+        bitrate=bitrate,
+        dbc="",
+        left=left,
+        right=right,
+        left_metres_per_tick=1.0,
+        right_metres_per_tick=1.0,
+        latency_ms=(0.0, 0.0),
+    )
+
+
+def imu_config(baud: int = 115200, latency_ms: tuple[float, float] = (0.0, 0.0)) -> ImuConfig:
+    """An inertial board of unknown quality."""
+    return declared(
+        ImuConfig,
+        port="",
+        baud=baud,
+        latency_ms=latency_ms,
+        clock_drift_ppm=1000.0,
+        gyro_bias_bound_dps=1.0,
+        gyro_bias_drift_dps2=1.0,
+        gyro_noise_bound_dps=1.0,
+        gyro_scale_bound=1.0,
+        tilt_bound_deg=1.0,
+        accel_bound_mps2=1.0,
+    )
+
+
+def gps_config(gst_factor: float, range_error_m: float, baud: int = 115200) -> GpsConfig:
+    """A receiver whose bounds are two factors."""
+    return declared(
+        GpsConfig,
+        port="",
+        baud=baud,
+        latency_ms=(0.0, 0.0),
+        gst_factor=gst_factor,
+        range_error_m=range_error_m,
+        floor_horizontal_m=0.0,
+        floor_vertical_m=0.0,
+    )
+
+
+def declared(kind: Callable[..., C], **fields: Any) -> C:
+    """A device's declaration from what the command line gave. Raises ConfigurationError that names what is wrong."""
+    try:
+        return kind(**fields)
+    except ValidationError as error:
+        wrong = "; ".join(f"{entry['loc'][0]}: {entry['msg']}" for entry in error.errors(include_url=False))
+        raise ConfigurationError(wrong) from None
+
+
+def read_dbc(path: Path) -> str:
+    """The text of a DBC file. Raises ConfigurationError."""
+    try:
+        return path.read_text(encoding="cp1252", errors="replace")
+    except OSError as error:
+        raise ConfigurationError(f"--dbc {path}: cannot be read: {error.strerror}; name a Vector DBC file") from None
+
+
+def _utc_ns(utc: str | None) -> int:
+    """ISO 8601 with milliseconds; second 60, a leap second, is the next minute's first, as in Unix time."""
+    if utc is None:
+        return 0
+    minute, second = utc.removesuffix("Z").rsplit(":", 1)
+    begin = datetime.fromisoformat(minute).replace(tzinfo=UTC)
+    return (begin - _EPOCH) // timedelta(microseconds=1) * 1000 + round(float(second) * 1000) * 1_000_000

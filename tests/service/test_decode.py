@@ -1,0 +1,187 @@
+"""Raw bytes of one device from a file, as JSON Lines: through the real command."""
+
+import json
+import os
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.gps_nmea.codec import serialise
+from drivers.samples import Sample
+from drivers.sick_lms.telegrams import Command, request
+from drivers.track_encoders.codec import serialise_slcan
+from service.cli import run_command
+from service.json_lines import sample_line
+from service.passive import EncodersFile, GpsFile, ImuFile, LmsFile, encoders_config, gps_config, read_dbc
+from service.shipped import shipped_config
+from simulator.emulators.sick_lms import SickLmsEmulator
+from simulator.emulators.track_encoders import tracks_frame
+
+DBC = shipped_config("tracks.dbc")
+TRACKS = ("--dbc", str(DBC), "--left", "TRACKS.LEFT", "--right", "TRACKS.RIGHT")
+CAN_LOG = Path("can") / "css_canmod_drive_60FEB5A8.candump.log"
+CAN_DBC = Path("can") / "css_canmod-gps.dbc"
+
+
+Decode = Callable[..., tuple[list[dict[str, Any]], str]]
+
+
+@pytest.fixture
+def decode(capfd: pytest.CaptureFixture[str]) -> Decode:
+    """Lines and counts of a run that must succeed."""
+
+    def run(*arguments: object) -> tuple[list[dict[str, Any]], str]:
+        assert run_command(["decode", *map(str, arguments)]) == 0
+        output, counts = capfd.readouterr()
+        return [json.loads(line) for line in output.splitlines()], counts
+
+    return run
+
+
+def count_of(name: str, counts: str) -> int:
+    """A count in the line on stderr."""
+    words = next(line for line in counts.splitlines() if line.startswith("counts: ")).split()[1:]
+    return int(dict(word.split("=") for word in words).get(name, "0"))
+
+
+def test_every_fix_of_a_recorded_receiver_comes_out(decode: Decode, recordings: Path) -> None:
+    """ublox-8: 72 fixes, the first and last where the log's sentences say, stamped with their UTC."""
+    fixes, counts = decode("gps", recordings / "nmea" / "ublox-8.log")
+    assert len(fixes) == 72 == count_of("fixes", counts)
+    assert (fixes[0]["lat_deg"], fixes[0]["lon_deg"]) == pytest.approx((44.0688978, -121.3142713), abs=5e-8)
+    assert (fixes[-1]["lat_deg"], fixes[-1]["lon_deg"]) == pytest.approx((44.0690135, -121.3143157), abs=5e-8)
+    assert fixes[0]["utc"] == "2017-01-10T00:09:41.000Z"
+    assert fixes[0]["stamp_ns"] == 1_484_006_981_000_000_000
+    assert set(fixes[0]) == {
+        "kind", "stamp_ns", "utc", "lat_deg", "lon_deg", "alt_m", "quality", "hdop", "bound_m"
+    }  # fmt: skip
+
+
+def test_only_epochs_with_a_position_make_a_line(decode: Decode, recordings: Path) -> None:
+    """haicom-305N has 68 fixes among 73 positions; all 40 of cat-ms352 are differential."""
+    haicom, _ = decode("gps", recordings / "nmea" / "haicom-305N.log")
+    assert len(haicom) == 68
+    differential, _ = decode("gps", recordings / "nmea" / "cat-ms352.log")
+    assert [fix["quality"] for fix in differential] == [2] * 40
+
+
+def test_every_inertial_message_of_a_recorded_vehicle_comes_out(decode: Decode, recordings: Path) -> None:
+    """5245 attitudes and 528 raw readings, at the board's own rising time, its axes turned into ours."""
+    lines, counts = decode("imu", recordings / "mavlink" / "sub_small.serial.bin")
+    assert Counter(line["message"] for line in lines) == {"ATTITUDE": 5245, "RAW_IMU": 528}
+    assert count_of("frames", counts) == 35912
+    assert count_of("reboots", counts) == 0
+    raw = [line for line in lines if line["message"] == "RAW_IMU"]
+    assert sum(line["accel_mps2"][2] for line in raw) == pytest.approx(527492 * 9.80665e-3)
+    assert [line["stamp_ns"] for line in raw] == sorted(line["stamp_ns"] for line in raw)
+    assert raw[0]["tilt_rad"] == [None, None]
+
+
+def test_counters_come_out_of_a_candump_log_at_its_times(decode: Decode, recordings: Path) -> None:
+    """The log's lines carry the time; both signals are read raw."""
+    signals = ("--left", "gnss_odo.DistanceTrip", "--right", "gnss_odo.DistanceTotal")
+    ticks, counts = decode("encoders", recordings / CAN_LOG, "--dbc", recordings / CAN_DBC, *signals)
+    assert count_of("frames", counts) == 5477
+    assert len(ticks) == 41
+    assert ticks[0] == {"kind": "ticks", "stamp_ns": 1_627_276_800_472_100_000, "left": 40310, "right": 2118}
+    assert ticks[-1]["left"] - ticks[0]["left"] == 269
+
+
+def test_slcan_bytes_are_recognised_and_unwrapped(decode: Decode, tmp_path: Path) -> None:
+    """Counters of 16 bits go on beyond 65535; a file of slcan text has no times."""
+    bytes_ = b"".join(serialise_slcan(tracks_frame(65530 + 4 * i, 2 * i)) for i in range(10))
+    (tmp_path / "tracks.slcan").write_bytes(b"\r\r" + bytes_)
+    ticks, _ = decode("encoders", tmp_path / "tracks.slcan", *TRACKS)
+    assert [(line["left"], line["right"]) for line in ticks] == [(65530 + 4 * i, 2 * i) for i in range(10)]
+    assert {line["stamp_ns"] for line in ticks} == {0}
+
+
+def test_scans_come_out_of_the_scanners_bytes(decode: Decode, tmp_path: Path) -> None:
+    """A beam without distance is null; a file has no times."""
+    (tmp_path / "scans").write_bytes(scanner_bytes())
+    lines, counts = decode("lms", tmp_path / "scans")
+    assert count_of("scans", counts) == len(lines) == 3
+    for line in lines:
+        assert set(line) == {"kind", "stamp_ns", "angle_min_rad", "angle_increment_rad", "ranges_m", "status"}
+        assert line["ranges_m"] == [None if beam % 10 == 0 else 2.5 for beam in range(361)]
+        assert (line["kind"], line["stamp_ns"], line["status"]) == ("scan", 0, 16)
+
+
+def test_the_cut_of_the_chunks_changes_nothing(recordings: Path) -> None:
+    """Byte by byte or whole, every decoder gives the same lines."""
+    nmea = (recordings / "nmea" / "ublox-8.log").read_bytes()[:12000]
+    mavlink = (recordings / "mavlink" / "sub_small.serial.bin").read_bytes()[:60000]
+    log = (recordings / CAN_LOG).read_bytes()[:30000].rstrip(b"\n")  # the last line's end is missing
+    odometer = encoders_config("gnss_imu.AccelerationX", "gnss_imu.AccelerationY")
+    for make, data in (
+        (lambda: GpsFile(gps_config(5.0, 5.0)), nmea),
+        (ImuFile, mavlink),
+        (lambda: EncodersFile(odometer, read_dbc(recordings / CAN_DBC)), log),
+        (LmsFile, scanner_bytes()),
+    ):
+        whole, pieces = make(), make()
+        expected = told([*whole.receive_data(data), *whole.finish()])
+        step = 17
+        got = [timed for i in range(0, len(data), step) for timed in pieces.receive_data(data[i : i + step])]
+        assert told([*got, *pieces.finish()]) == expected != []
+        assert pieces.counts == whole.counts
+
+
+def test_the_last_epoch_of_a_file_is_not_forgotten(decode: Decode, tmp_path: Path) -> None:
+    """A single sentence is an epoch; a leap second is the next minute's first."""
+    sentence = serialise("GPGGA,235960.00,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,")
+    date = serialise("GPRMC,235960.00,A,4807.038,N,01131.000,E,0.0,0.0,311216,,,A")
+    (tmp_path / "dated").write_bytes(date + sentence)
+    (tmp_path / "undated").write_bytes(sentence)
+    (fix,), _ = decode("gps", tmp_path / "dated")
+    assert fix["stamp_ns"] == 1_483_228_800_000_000_000
+    (undated,), _ = decode("gps", tmp_path / "undated")
+    assert (undated["utc"], undated["stamp_ns"]) == (None, 0)
+
+
+def test_dirt_from_standard_input_is_counted_and_hinted_at() -> None:
+    """Bytes of something else end well, with no line, the count, and a hint."""
+    command = [sys.executable, "-m", "service.cli", "decode", "gps", "-"]
+    done = subprocess.run(command, input=bytes(range(256)) * 100, capture_output=True, timeout=60, check=True)
+    assert done.stdout == b""
+    assert count_of("bytes", done.stderr.decode()) == 25600
+    assert b"are they of this device?" in done.stderr
+
+
+def test_a_reader_that_leaves_ends_it_quietly(tmp_path: Path) -> None:
+    """`| head -1` is no error."""
+    (tmp_path / "long").write_bytes(b"".join(serialise_slcan(tracks_frame(i, i)) for i in range(200_000)))
+    read_end, write_end = os.pipe()
+    command = [sys.executable, "-m", "service.cli", "decode", "encoders", str(tmp_path / "long"), *TRACKS]
+    with subprocess.Popen(command, stdout=write_end, stderr=subprocess.PIPE) as process:
+        os.close(write_end)
+        assert os.read(read_end, 10)
+        os.close(read_end)
+        _, complaint = process.communicate(timeout=60)
+    assert process.returncode == 0
+    assert b"Traceback" not in complaint
+    assert b"Exception" not in complaint
+
+
+def told(samples: list[tuple[int, Sample]]) -> list[str]:
+    """Their lines."""
+    return [sample_line(sample, stamp_ns) for stamp_ns, sample in samples]
+
+
+def scanner_bytes() -> bytes:
+    """Three scans as an emulated scanner answers single requests; each tenth beam hits nothing."""
+    emulator = SickLmsEmulator(lambda times, angles: np.where(np.arange(len(angles)) % 10 == 0, np.inf, 2.5))
+    data, now_ns = b"", 0
+    for step in range(60):
+        now_ns += 100_000_000
+        if step in (10, 20, 30):
+            emulator.receive_data(request(bytes((Command.SCAN, 1))), now_ns)
+        sent = emulator.data_to_send(now_ns)
+        data += sent if step > 9 else b""
+    return data
