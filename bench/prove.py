@@ -1,0 +1,149 @@
+"""The long proof: drives under every error law over every scene, each pose and each hit held against the truth.
+
+Run with `python -m bench.prove`; `--help` lists the options. Rounds of all laws and scenes go on, a
+new seed each, until at least N true hits and N filter steps were checked. Exit code 1 on any violation, or where a
+guarantee was voided although every declared bound held.
+"""
+
+import argparse
+import os
+import sys
+from collections.abc import Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass
+from itertools import count
+from multiprocessing import get_context
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from service.commands.virtual_drive import drive_virtually
+from service.config import load
+from service.shipped import shipped_config
+from simulator.errors import LAWS
+
+SCENES = ("stairs", "rough", "ramp", "yard", "flat")
+HITS, STEPS = 10_000_000, 1_000_000
+"""DESIGN section 8: points with errors at the corners of their bounds; steps of the filter."""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One drive."""
+
+    law: str
+    scene: str
+    seed: int
+    seconds: float
+
+
+@dataclass(slots=True)
+class Score:
+    """What drives came to, added up."""
+
+    drives: int = 0
+    steps: int = 0
+    poses: int = 0
+    hits: int = 0
+    pose_violations: int = 0
+    cell_violations: int = 0
+    voided: int = 0
+    """Drives whose guarantee was voided."""
+
+    def add(self, other: "Score") -> None:
+        """Add another score to this one."""
+        for name in self.__slots__:
+            setattr(self, name, getattr(self, name) + getattr(other, name))
+
+    @property
+    def sound(self) -> bool:
+        """Did everything hold?"""
+        return self.pose_violations == self.cell_violations == self.voided == 0
+
+
+def prove(case: Case) -> Score:
+    """Drive once, and hold what came out against the truth."""
+    loaded = load(shipped_config("demo.toml"))
+    drive = drive_virtually(loaded, scene=case.scene, law=case.law, seed=case.seed, duration_s=case.seconds)
+    pose_violations, cell_violations, hits = drive.violations()
+    return Score(
+        drives=1,
+        steps=drive.filter_steps,
+        poses=len(drive.poses.earliest_ns),
+        hits=hits,
+        pose_violations=pose_violations,
+        cell_violations=cell_violations,
+        voided=int(not drive.pipeline.filter.guarantee.intact),
+    )
+
+
+def cases(seconds: float, first_seed: int) -> Iterator[Case]:
+    """All laws over all scenes, then again with the next seed, without end."""
+    for seed in count(first_seed):
+        for law in LAWS:
+            for scene in SCENES:
+                yield Case(law, scene, seed, seconds)
+
+
+def main() -> int:
+    """Prove until enough was checked; 0 if everything held."""
+    parser = argparse.ArgumentParser(prog="python -m bench.prove", description="drives held against their truth")
+    parser.add_argument("--hits", type=int, default=HITS, help="true hits to check, at least")
+    parser.add_argument("--steps", type=int, help="filter steps to check, at least (default: a tenth of --hits)")
+    parser.add_argument("--seconds", type=float, default=20.0, help="length of each drive")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="drives at a time")
+    parser.add_argument("--first-seed", type=int, default=1000)
+    options = parser.parse_args()
+    steps = options.hits * STEPS // HITS if options.steps is None else options.steps
+    console = Console(stderr=True)
+    total, rows, broken = Score(), dict[tuple[str, str], Score](), list[Case]()
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.completed:,.0f} of {task.total:,.0f}"),
+        TimeElapsedColumn(),
+    )
+    with (
+        ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool,
+        Progress(*columns, console=console, disable=not console.is_terminal) as progress,
+    ):
+        tasks = progress.add_task("true hits", total=options.hits), progress.add_task("filter steps", total=steps)
+        supply = cases(options.seconds, options.first_seed)
+        running: dict[Future[Score], Case] = {}
+        while running or total.hits < options.hits or total.steps < steps:
+            while len(running) < options.jobs and (total.hits < options.hits or total.steps < steps):
+                case = next(supply)
+                running[pool.submit(prove, case)] = case
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                case, score = running.pop(future), future.result()
+                total.add(score)
+                rows.setdefault((case.law, case.scene), Score()).add(score)
+                if not score.sound:
+                    broken.append(case)
+                    console.print(f"broken: {case}: {score}")
+            progress.update(tasks[0], completed=total.hits)
+            progress.update(tasks[1], completed=total.steps)
+    Console().print(_table(rows, total))
+    return 0 if total.sound and not broken else 1
+
+
+def _table(rows: dict[tuple[str, str], Score], total: Score) -> Table:
+    """The scores by law and scene."""
+    names = ("drives", "steps", "poses", "hits", "poses out", "hits out", "voided")
+    table = Table("law", "scene", title="truth against bounds", title_justify="left")
+    for name in names:
+        table.add_column(name, justify="right", no_wrap=True)
+    for (law, scene), score in sorted(rows.items()):
+        table.add_row(law, scene, *_numbers(score))
+    table.add_section()
+    table.add_row("all", "all", *_numbers(total))
+    return table
+
+
+def _numbers(score: Score) -> list[str]:
+    return [f"{getattr(score, name):,}" for name in Score.__slots__]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
