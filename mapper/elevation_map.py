@@ -65,6 +65,7 @@ class ElevationMap:
         self._table = np.empty(0, np.int32)
         self._grow(min(_FIRST_TILES, config.max_tiles))
         self._insert(np.empty(0), np.empty(0, np.int32), np.zeros((1, 6)), np.zeros((1, 6)))
+        kernel.copy_tile(0, self._pool, *np.empty((2, TILE_SIDE, TILE_SIDE), np.float32))
 
     def insert(self, scan: Scan, low: Floats, high: Floats, pose_index: NDArray[np.int32]) -> InsertResult:
         """Take a scan in whose beam i was shot from somewhere in the pose box [low, high][pose_index[i]].
@@ -171,12 +172,8 @@ class ElevationMap:
 
     def _tile(self, index: int) -> Tile:
         ix, iy = tile_indices(int(self._keys[index]))
-        cells = self._pool[index].reshape(TILE_SIDE, TILE_SIDE, 2)
-        seen = cells[..., 0] > kernel.UNSEEN
-        low, high = (
-            np.where(seen, -cells[..., 0], np.float32(np.nan)),
-            np.where(seen, cells[..., 1], np.float32(np.nan)),
-        )
+        low, high = np.empty((2, TILE_SIDE, TILE_SIDE), np.float32)
+        kernel.copy_tile(index, self._pool, low, high)
         return Tile(self.submap, ix, iy, self.config.resolution_m, low, high)
 
     def _grow_further(self) -> None:

@@ -35,6 +35,8 @@ TILE_FLOATS = 2 * TILE_CELLS
 FREE = -1
 """In the hash table: no tile here."""
 UNSEEN = np.float32(-np.inf)
+NOTHING = np.uint32(0x7FC00000).view(np.float32)
+"""What a tile says of an unseen cell."""
 LEFT_OUT = np.int64(-1)
 """In place of a tile's number: the map has max_tiles already."""
 POOL_FULL = np.int64(-2)
@@ -225,6 +227,17 @@ def join_tile(
                 pool[tile, at + 1] = high[row, col]
                 dirty[tile] = True
     return tile
+
+
+@compiled
+def copy_tile(tile: int, pool: Cells, low: Cells, high: Cells) -> None:
+    """A tile's low and high [64, 64], NaN where nothing was seen."""
+    for row in range(TILE_SIDE):
+        for col in range(TILE_SIDE):
+            at = 2 * (row * TILE_SIDE + col)
+            seen = pool[tile, at] > UNSEEN
+            low[row, col] = -pool[tile, at] if seen else NOTHING
+            high[row, col] = pool[tile, at + 1] if seen else NOTHING
 
 
 @compiled

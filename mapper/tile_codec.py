@@ -12,12 +12,13 @@ from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from google.protobuf.message import DecodeError
 
 from mapper.grid import TILE_CELLS, TILE_SIDE, tile_corner_m
-from mapper.tile import Tile, snap_outward
+from mapper.tile import Tile, snapped_cells
 
 ENCODING = "application/protobuf;foxglove.Grid+zstd"
 """Zenoh's encoding string of a tile."""
 
-_LEVEL = 1
+_COMPRESSOR = zstd.ZstdCompressor(level=1)
+"""Each call makes a frame of its own."""
 _LARGEST_PAYLOAD = 48 * 1024
 """A tile of pure noise takes 33 KiB; links cut larger messages up and lose them."""
 _LARGEST_MESSAGE = 40 * 1024
@@ -44,13 +45,12 @@ class ReceivedTile:
 
 def encode(tile: Tile, frame_id: str, stamp_ns: int) -> bytes:
     """The payload of a tile, or of a delta, snapped outward to 2^-9 m. stamp_ns: wall clock."""
-    snapped = snap_outward(tile)
     message = Grid(
         frame_id=frame_id,
         column_count=TILE_SIDE,
         row_stride=TILE_SIDE * _CELL_BYTES,
         cell_stride=_CELL_BYTES,
-        data=np.stack((snapped.low, snapped.high), axis=-1).astype("<f4").tobytes(),
+        data=snapped_cells(tile).astype("<f4", copy=False).tobytes(),
     )
     message.timestamp.seconds, message.timestamp.nanos = divmod(stamp_ns, _NS)
     message.pose.position.x, message.pose.position.y = tile.corner_m
@@ -58,7 +58,7 @@ def encode(tile: Tile, frame_id: str, stamp_ns: int) -> bytes:
     message.cell_size.x = message.cell_size.y = tile.resolution_m
     for name, offset in _FIELDS:
         message.fields.add(name=name, offset=offset, type=PackedElementField.FLOAT32)
-    return zstd.compress(message.SerializeToString(deterministic=True), _LEVEL)
+    return _COMPRESSOR.compress(message.SerializeToString(deterministic=True), zstd.ZstdCompressor.FLUSH_FRAME)
 
 
 def decode(payload: bytes, submap: int) -> ReceivedTile:
