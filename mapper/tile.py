@@ -113,7 +113,7 @@ def snapped_cells(tile: Tile) -> Layer:
 def content_crc(tile: Tile) -> int:
     """CRC-32 of the snapped tile's low, then high, as little-endian float32: what the digest lists."""
     snapped = snap_outward(tile)
-    return zlib.crc32(snapped.high.astype("<f4", copy=False), zlib.crc32(snapped.low.astype("<f4", copy=False)))
+    return zlib.crc32(snapped.high.astype("<f4").tobytes(), zlib.crc32(snapped.low.astype("<f4").tobytes()))
 
 
 def _blank() -> Layer:
