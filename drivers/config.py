@@ -4,6 +4,7 @@ Every bound is a half-width that the truth never leaves; its unit stands in its 
 the owner can know them.
 """
 
+from math import ceil, floor
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field
@@ -31,6 +32,11 @@ def _rising(value: tuple[float, float]) -> tuple[float, float]:
 Resolution = Annotated[float, AfterValidator(_resolution)]
 LatencyMs = Annotated[tuple[NotNegative, NotNegative], AfterValidator(_rising)]
 """[least, most] from acquisition to the read."""
+
+
+def latency_ns(latency_ms: tuple[float, float]) -> tuple[int, int]:
+    """[least, most] in whole nanoseconds, rounded outward."""
+    return floor(latency_ms[0] * 1e6), ceil(latency_ms[1] * 1e6)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

@@ -8,7 +8,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from datetime import date
 
-from drivers.config import GpsConfig
+from drivers.config import GpsConfig, latency_ns
 from drivers.framing import StampedBuffer
 from drivers.gps_nmea.codec import (
     SENTENCE,
@@ -58,7 +58,7 @@ class GpsProtocol:
         """Nothing received yet."""
         self.counts: Counter[str] = Counter()
         self._config = config
-        self._least_ns, self._most_ns = (round(ms * 1e6) for ms in config.latency_ms)
+        self._least_ns, self._most_ns = latency_ns(config.latency_ms)
         self._buffer = StampedBuffer()
         self._epoch: _Epoch | None = None
         self._usual: tuple[Counter[str], Counter[str]] = (Counter(), Counter())

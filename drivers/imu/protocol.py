@@ -3,7 +3,7 @@
 from collections import Counter
 from math import isfinite, pi
 
-from drivers.config import ImuConfig
+from drivers.config import ImuConfig, latency_ns
 from drivers.imu.codec import MavlinkFrame, MavlinkStream
 from drivers.imu.messages import READINGS, Reading
 from drivers.samples import InertialSample, Stamp
@@ -29,7 +29,7 @@ class ImuProtocol:
         """Nothing received yet."""
         self.counts: Counter[str] = Counter()
         self._baud = config.baud
-        self._least_ns, self._most_ns = (round(ms * 1e6) for ms in config.latency_ms)
+        self._least_ns, self._most_ns = latency_ns(config.latency_ms)
         self._drift = config.clock_drift_ppm * 1e-6
         self._stream = MavlinkStream(self.counts)
         self._source: tuple[int, int] | None = None

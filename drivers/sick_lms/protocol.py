@@ -2,9 +2,8 @@
 
 from collections import Counter
 from dataclasses import dataclass
-from math import ceil, floor
 
-from drivers.config import LaserConfig
+from drivers.config import LaserConfig, latency_ns
 from drivers.samples import Scan
 from drivers.sick_lms.framing import Frame, FrameReader
 from drivers.sick_lms.measurements import (
@@ -69,11 +68,6 @@ def goal_of(config: LaserConfig) -> Goal:
     )
 
 
-def latency_ns(config: LaserConfig) -> tuple[int, int]:
-    """Declared [least, most] latency, rounded outward."""
-    return floor(config.latency_ms[0] * MS), ceil(config.latency_ms[1] * MS)
-
-
 class SickLmsProtocol:
     """A conversation with one scanner, from wherever it stands to a stream of scans, and back there after any loss."""
 
@@ -83,7 +77,7 @@ class SickLmsProtocol:
         """Known once the scanner has answered."""
         self._write_allowed = config.write_configuration
         self._goal = goal_of(config)
-        self._latency_ns = latency_ns(config)
+        self._latency_ns = latency_ns(config.latency_ms)
         self._rates = tuple(dict.fromkeys((config.baud, *RATES)))
         self._baud: int = config.baud
         self._reader = FrameReader(self.counts)

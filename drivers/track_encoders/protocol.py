@@ -6,7 +6,7 @@ Where nothing comes for a second it may have been plugged anew, or never heard u
 
 from collections import Counter, deque
 
-from drivers.config import EncodersConfig
+from drivers.config import EncodersConfig, latency_ns
 from drivers.samples import Stamp, WheelTicks
 from drivers.track_encoders.codec import (
     BELL,
@@ -41,7 +41,7 @@ class TrackEncoderProtocol:
         self.counts: Counter[str] = Counter()
         self._slcan = config.interface == "slcan"
         self._bitrate = config.bitrate
-        self._least_ns, self._most_ns = (round(ms * 1e6) for ms in config.latency_ms)
+        self._least_ns, self._most_ns = latency_ns(config.latency_ms)
         self._tracks = [_Track(find_counter(dbc, name)) for name in (config.left, config.right)]
         self._message_bytes = {(c.can_id, c.extended): c.message_bytes for c in (t.counter for t in self._tracks)}
         self._epoch = 0
