@@ -24,7 +24,11 @@ class RecordConfig:
     """Keep the raw bytes of the drive."""
 
     path: str | None = None
-    """MCAP file to write while running; None: no recording. A relative path starts at the configuration's folder."""
+    """MCAP file to write while running; None: no recording. A relative path starts at the configuration's folder.
+
+    `%Y%m%d-%H%M%S` and the like in its name stand for the time of the start (UTC); an existing file is never
+    overwritten, a number is added instead.
+    """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

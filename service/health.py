@@ -131,6 +131,13 @@ class Health:
                 self._troubles[what] = text
 
     @property
+    def failures(self) -> dict[str, str]:
+        """Ports that can't be used now and what else fails, each with its reason."""
+        with self._lock:
+            ports = {name: device.failure for name, device in self._devices.items() if device.failure is not None}
+            return ports | self._troubles
+
+    @property
     def troubles(self) -> dict[str, str]:
         """What fails beside the devices, and why."""
         with self._lock:

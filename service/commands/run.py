@@ -1,12 +1,13 @@
 """`terrabound run`: the service on the robot."""
 
 import sys
-import threading
 import time
+from datetime import UTC, datetime
 from pathlib import Path
 
 from drivers.clock import SystemClock
 from service.config import load
+from service.health import Health
 from service.lifecycle import ServiceNotifier, stop_on_signals
 from service.onboard import Onboard
 from service.status_line import status_line
@@ -17,6 +18,9 @@ TICK_S = 0.5
 def run(*, config: Path) -> int:
     """Read the sensors, keep the pose set and the map, and stream tiles, until told to stop (SIGTERM, Ctrl-C).
 
+    A device that is missing, busy or unplugged is named once, tried again until it is there, and mapping goes on with
+    what the others give as far as that goes.
+
     Parameters
     ----------
     config
@@ -25,26 +29,64 @@ def run(*, config: Path) -> int:
     loaded = load(config)
     record = loaded.config.record.path
     notifier = ServiceNotifier()
-    ended = threading.Event()
-    with stop_on_signals(ended):
-        onboard = Onboard(loaded, SystemClock(), capture=None if record is None else loaded.path(record))
+    with stop_on_signals() as ended:
+        capture = None if record is None else unused_path(loaded.path(record), datetime.now(UTC))
+        onboard = Onboard(loaded, SystemClock(), capture=capture)
         onboard.start()
         notifier.ready()
+        console = _Console(onboard.health)
         saved_ns = time.monotonic_ns()
         while not ended.wait(TICK_S) and onboard.failure is None:
             now_ns = time.monotonic_ns()
             line = status_line(onboard)
             notifier.status(line)
             notifier.feed(now_ns, onboard.health.flowing(now_ns))
-            if sys.stderr.isatty():
-                print(f"\r\x1b[K{line}", end="", file=sys.stderr, flush=True)
+            console.show(line)
             if now_ns - saved_ns > loaded.config.store.period_s * 1e9:
                 saved_ns = now_ns
                 onboard.request_save()
         notifier.stopping()
         onboard.stop()
-    if sys.stderr.isatty():
-        print(file=sys.stderr)
+        console.close()
     if onboard.failure is not None:
         raise onboard.failure
     return 0
+
+
+def unused_path(pattern: Path, now: datetime) -> Path:
+    """The recording's path: `%Y`, `%H` and so on stand for the time (UTC); a number is added where the file exists."""
+    path = pattern.with_name(now.strftime(pattern.name))
+    number = 1
+    while path.exists():
+        number += 1
+        path = path.with_name(f"{Path(now.strftime(pattern.name)).stem}-{number}{pattern.suffix}")
+    return path
+
+
+class _Console:
+    """What a person sees: the state as a line that is rewritten, and each new failure as a line of its own."""
+
+    def __init__(self, health: Health) -> None:
+        self._health = health
+        self._told: dict[str, str] = {}
+        self._on_terminal = sys.stderr.isatty()
+
+    def show(self, line: str) -> None:
+        """Tell what has changed."""
+        failures = self._health.failures
+        for name, failure in failures.items():
+            if self._told.get(name) != failure:
+                self._say(f"terrabound: {name}: {failure}")
+        for name in self._told.keys() - failures.keys():
+            self._say(f"terrabound: {name}: works again")
+        self._told = failures
+        if self._on_terminal:
+            print(f"\r\x1b[K{line}", end="", file=sys.stderr, flush=True)
+
+    def close(self) -> None:
+        """Leave the line as it is."""
+        if self._on_terminal:
+            print(file=sys.stderr)
+
+    def _say(self, text: str) -> None:
+        print(f"\r\x1b[K{text}" if self._on_terminal else text, file=sys.stderr, flush=True)
