@@ -52,6 +52,21 @@ def draw(law: int, key: int, t_ns: int) -> float:
 
 
 @compiled
+def level(law: int, key: int) -> float:
+    """A share of the bound that holds for the whole drive."""
+    return draw(_UNIFORM if law == _UNIFORM else _CONSTANT, key, 0)
+
+
+@compiled
+def wander(law: int, key: int, t_ns: int, bound: float, rate_bound: float) -> float:
+    """A bias at time t_ns; see Channel.wander."""
+    if law != _DRIFT:
+        return bound * level(law, key)
+    swing = min(bound, rate_bound * DRIFT_PERIOD_NS * 1e-9 / 4.0)
+    return level(law, key) * ((bound - swing) + swing * draw(law, key, t_ns))
+
+
+@compiled
 def _draw_all(law: int, key: int, t_ns: NDArray[np.int64], out: NDArray[np.float64]) -> None:
     for i in range(t_ns.size):
         out[i] = draw(law, key, t_ns[i])
@@ -77,7 +92,7 @@ class Channel:
     @property
     def level(self) -> float:
         """A share that holds for the whole drive: for biases and mounts. Only `uniform` stays off the bound."""
-        return draw(_UNIFORM if self.law == _UNIFORM else _CONSTANT, self.key, 0)
+        return level(self.law, self.key)
 
     def smooth(self, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
         """Shares without jumps, for what is a motion and not a reading: draws a second apart, blended."""
@@ -91,10 +106,7 @@ class Channel:
 
     def wander(self, t_ns: int, bound: float, rate_bound: float) -> float:
         """A bias: |bias| <= bound, and its change per second <= rate_bound; constant except under `drift`."""
-        if self.law != _DRIFT:
-            return bound * self.level
-        swing = min(bound, rate_bound * DRIFT_PERIOD_NS * 1e-9 / 4.0)
-        return self.level * ((bound - swing) + swing * self.at(t_ns))
+        return wander(self.law, self.key, t_ns, bound, rate_bound)
 
 
 @dataclass(frozen=True, slots=True)

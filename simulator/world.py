@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from drivers.compiled import compiled
 from drivers.config import DevicesConfig, GpsConfig
 from drivers.samples import Vector3
-from simulator.errors import ErrorLaw, draw
+from simulator.errors import ErrorLaw, draw, wander
 from simulator.raycast import cast_rays
 from simulator.robot import STEP_NS, RobotModel, plan_drive, rotations
 from simulator.terrain import Terrain
@@ -68,12 +68,19 @@ class World:
         self._hits: list[Array] = []
         self._ranges: list[Array] = []
         self._prepare_laser()
-        self._gyro = [
-            (law.channel(f"gyro.{a}.bias"), law.channel(f"gyro.{a}"), law.channel(f"gyro.{a}.scale").level)
-            for a in "xyz"
-        ]
-        self._tilt = [law.channel("tilt.roll"), law.channel("tilt.pitch")]
-        self._accel = {(i, a): law.channel(f"accel.{i}.{a}") for i in range(4) for a in "xy"}
+        imu = devices.imu
+        # Written so that the error is within gyro_scale_bound of both the true and the measured rate.
+        scale = imu.gyro_scale_bound / (1.0 + imu.gyro_scale_bound)
+        self._gyro_gain = np.array([1.0 + scale * law.channel(f"gyro.{a}.scale").level for a in "xyz"])
+        self._gyro_bounds = (
+            radians(imu.gyro_bias_bound_dps),
+            radians(imu.gyro_bias_drift_dps2),
+            max(radians(imu.gyro_noise_bound_dps) - FLOAT32_STEP_GYRO_RPS, 0.0),
+        )
+        self._gyro_keys = np.array([[law.channel(f"gyro.{a}{n}").key for n in (".bias", "")] for a in "xyz"])
+        self._tilt_keys = law.channel("tilt.roll").key, law.channel("tilt.pitch").key
+        self._accel_keys = [(law.channel(f"accel.{i}.x").key, law.channel(f"accel.{i}.y").key) for i in range(4)]
+        self._law = law.channel("law").law
         self._gps = [law.channel(f"gps.{a}") for a in ("east", "north", "up")]
         self.rtk = devices.gps is not None and devices.gps.rtk_fixed_horizontal_m is not None
         """Does the receiver have an RTK fix? It has, if the owner vouches for one."""
@@ -88,6 +95,7 @@ class World:
         self.measure(np.full(1, t), np.zeros(1))
         self.gyro(t - STEP_NS, t)
         self.tilt(t)
+        self.accel(t, 0)
         self._hit_times, self._hits, self._ranges = [], [], []
 
     def _prepare_laser(self) -> None:
@@ -175,36 +183,31 @@ class World:
 
     def gyro(self, t0_ns: int, t1_ns: int) -> Vector3:
         """Mean body rate between two times, rad/s, with bias, scale error and noise."""
-        imu = self.devices.imu
-        seconds = (t1_ns - t0_ns) * 1e-9
-        turned = self._turned(t1_ns) - self._turned(t0_ns)
-        # Written so that the error is within gyro_scale_bound of both the true and the measured rate.
-        scale = imu.gyro_scale_bound / (1.0 + imu.gyro_scale_bound)
-        noise = max(radians(imu.gyro_noise_bound_dps) - FLOAT32_STEP_GYRO_RPS, 0.0)
-        bias_bound, bias_drift = radians(imu.gyro_bias_bound_dps), radians(imu.gyro_bias_drift_dps2)
-        since = t1_ns - self.start_ns
-        x, y, z = (
-            float(angle) / seconds * (1.0 + scale * scale_share)
-            + bias.wander(since, bias_bound, bias_drift)
-            + noise * jitter.at(since)
-            for angle, (bias, jitter, scale_share) in zip(turned, self._gyro, strict=True)
+        # Integrals of the body rates, by cubic Hermite interpolation (linear would cost a few 0.001 deg/s).
+        return _mean_rates(
+            self.drive.turned,
+            self.drive.rate,
+            self._into_drive(t0_ns),
+            self._into_drive(t1_ns),
+            (t1_ns - t0_ns) * 1e-9,
+            t1_ns - self.start_ns,
+            self._law,
+            self._gyro_keys,
+            self._gyro_gain,
+            *self._gyro_bounds,
         )
-        return x, y, z
 
     def tilt(self, t_ns: int) -> tuple[float, float]:
         """Roll and pitch, rad; pitch positive nose down."""
         bound = radians(self.devices.imu.tilt_bound_deg) - FLOAT32_STEP_TILT_RAD
-        pose, since = self.pose(t_ns), t_ns - self.start_ns
-        return float(pose[3]) + bound * self._tilt[0].at(since), float(pose[4]) + bound * self._tilt[1].at(since)
+        since = t_ns - self.start_ns
+        return _two_readings(self.drive.pose, 3, self._into_drive(t_ns), since, self._law, *self._tilt_keys, bound)
 
     def accel(self, t_ns: int, sensor_id: int) -> tuple[float, float]:
         """Specific force along body x and y as the dual-axis accelerometer `sensor_id` gives it, m/s^2."""
         bound = self.devices.imu.accel_bound_mps2 - FLOAT32_STEP_ACCEL_MPS2
-        force, since = _between(self.drive.specific_force, self._into_drive(t_ns)), t_ns - self.start_ns
-        return (
-            float(force[0]) + bound * self._accel[sensor_id, "x"].at(since),
-            float(force[1]) + bound * self._accel[sensor_id, "y"].at(since),
-        )
+        force, since, keys = self.drive.specific_force, t_ns - self.start_ns, self._accel_keys[sensor_id]
+        return _two_readings(force, 0, self._into_drive(t_ns), since, self._law, *keys, bound)
 
     def position(self, t_ns: int) -> tuple[float, float, float]:
         """WGS-84 latitude, longitude (degrees) and ellipsoidal height (m) of the antenna."""
@@ -218,10 +221,6 @@ class World:
         )
         lat, lon, alt = pymap3d.enu2geodetic(east, north, up, *self.origin)
         return float(lat), float(lon), float(alt)
-
-    def _turned(self, t_ns: int) -> Array:
-        """[3] integral of the body rates, by cubic Hermite interpolation (linear would cost a few 0.001 deg/s)."""
-        return _hermite(self.drive.turned, self.drive.rate, self._into_drive(t_ns))
 
     # What is true.
 
@@ -281,6 +280,40 @@ def _hermite(values: Array, slopes: Array, t_ns: int) -> Array:
     end = -h * u * u * (1.0 - u)
     row: Array = values[i] + rise * (values[i + 1] - values[i]) + begin * slopes[i] + end * slopes[i + 1]
     return row
+
+
+@compiled
+def _two_readings(
+    rows: Array, column: int, t_ns: int, since_ns: int, law: int, first_key: int, second_key: int, bound: float
+) -> tuple[float, float]:
+    """Two neighbouring columns of a 1 kHz table, each with an error within `bound`."""
+    row = _between(rows, t_ns)
+    first, second = draw(law, first_key, since_ns), draw(law, second_key, since_ns)
+    return row[column] + bound * first, row[column + 1] + bound * second
+
+
+@compiled
+def _mean_rates(
+    turned: Array,
+    rates: Array,
+    t0_ns: int,
+    t1_ns: int,
+    seconds: float,
+    since_ns: int,
+    law: int,
+    keys: NDArray[np.int64],
+    gain: Array,
+    bias_bound: float,
+    bias_drift: float,
+    noise: float,
+) -> Vector3:
+    """Mean body rates between two times of the drive; keys [3, 2] of bias and noise, gain [3] is 1 + scale error."""
+    angles = _hermite(turned, rates, t1_ns) - _hermite(turned, rates, t0_ns)
+    for axis in range(3):
+        bias = wander(law, keys[axis, 0], since_ns, bias_bound, bias_drift)
+        jitter = noise * draw(law, keys[axis, 1], since_ns)
+        angles[axis] = angles[axis] / seconds * gain[axis] + bias + jitter
+    return angles[0], angles[1], angles[2]
 
 
 @compiled

@@ -12,16 +12,15 @@ definitions are pymavlink's.
 
 import re
 import struct
+from binascii import crc_hqx
 from collections import Counter
 from dataclasses import dataclass
+from itertools import repeat
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pymavlink.dialects.v10 import ardupilotmega as _v1_messages
 from pymavlink.dialects.v20 import ardupilotmega as _messages
 
-from drivers.compiled import compiled
 from drivers.framing import StampedBuffer
 
 _MAGIC_V1, _MAGIC_V2 = 0xFE, 0xFD
@@ -37,20 +36,16 @@ _V1_LENGTHS = frozenset(_V1_BYTES.values())
 _BY_NAME: dict[str, Any] = {m.msgname: m for m in _DEFINITION.values()}
 
 
+_REFLECTED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
+
+
 def x25(data: bytes) -> int:
-    """The MAVLink checksum of `data`."""
-    return _x25(np.frombuffer(data, np.uint8))
+    """The MAVLink checksum of `data`: CRC-16 of the CCITT polynomial, begun with ones, least significant bit first.
 
-
-@compiled
-def _x25(data: NDArray[np.uint8]) -> int:
-    """CRC-16 of the CCITT polynomial, bits reflected, begun with ones; a byte at a time without a table."""
-    crc = 0xFFFF
-    for byte in data:
-        low = (crc ^ byte) & 0xFF
-        low ^= (low << 4) & 0xFF
-        crc = (crc >> 8) ^ (low << 8) ^ (low << 3) ^ (low >> 4)
-    return crc
+    The standard library has the same with the most significant bit first, so bits are reflected before and after.
+    """
+    crc = crc_hqx(data.translate(_REFLECTED), 0xFFFF)
+    return _REFLECTED[crc & 0xFF] << 8 | _REFLECTED[crc >> 8]
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +86,7 @@ def build(
 ) -> MavlinkFrame:
     """A frame from its fields; those not named are zero."""
     definition = _BY_NAME[message]
-    payload: bytes = definition.unpacker.pack(*(fields.get(name, 0) for name in definition.ordered_fieldnames))
+    payload: bytes = definition.unpacker.pack(*map(fields.get, definition.ordered_fieldnames, repeat(0)))
     if version == 1:
         payload = payload[: _V1_BYTES[definition.id]]
     return MavlinkFrame(message, sequence, system, component, payload, version)

@@ -16,6 +16,8 @@ _MILLI_G_MPS2 = 9.80665e-3
 _MILLI = 1e-3
 _XACC, _XGYRO = 1 << 0, 1 << 3
 """Bits of HIGHRES_IMU.fields_updated; y and z follow."""
+_BITS = tuple(first << axis for first in (_XACC, _XGYRO) for axis in range(3))
+_ACCEL_AXES, _GYRO_AXES = ("xacc", "yacc", "zacc"), ("xgyro", "ygyro", "zgyro")
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,20 +41,21 @@ def turned(vector: Vector3) -> Vector3:
 
 def _highres(fields: dict[str, Any]) -> Reading:
     updated = fields["fields_updated"]
-    accel, accel_present = _updated(fields, ("xacc", "yacc", "zacc"), updated, _XACC)
-    gyro, gyro_present = _updated(fields, ("xgyro", "ygyro", "zgyro"), updated, _XGYRO)
+    accel, accel_present = _updated(fields, _ACCEL_AXES, updated // _XACC & 0b111)
+    gyro, gyro_present = _updated(fields, _GYRO_AXES, updated // _XGYRO & 0b111)
     present = accel_present + gyro_present
     return Reading(fields["id"], fields["time_usec"], turned(accel), turned(gyro), present=present)
 
 
-def _updated(
-    fields: dict[str, Any], names: tuple[str, str, str], updated: int, first_bit: int
-) -> tuple[Vector3, tuple[float, ...]]:
-    """Three axes, NaN where their bit says that they are not new; and those that are."""
-    if not updated & (0b111 * first_bit):
+def _updated(fields: dict[str, Any], names: tuple[str, str, str], updated: int) -> tuple[Vector3, tuple[float, ...]]:
+    """Three axes, NaN where their bit (x: 1, y: 2, z: 4) says that they are not new; and those that are."""
+    if not updated:
         return ABSENT3, ()
-    x, y, z = (fields[name] if updated & (first_bit << i) else nan for i, name in enumerate(names))
-    return (x, y, z), tuple(fields[name] for i, name in enumerate(names) if updated & (first_bit << i))
+    x, y, z = fields[names[0]], fields[names[1]], fields[names[2]]
+    if updated == 0b111:
+        return (x, y, z), (x, y, z)
+    present = tuple(value for value, bit in ((x, 1), (y, 2), (z, 4)) if updated & bit)
+    return (x if updated & 1 else nan, y if updated & 2 else nan, z if updated & 4 else nan), present
 
 
 def _scaled(sensor_id: int, time_us: int, fields: dict[str, Any]) -> Reading:
@@ -83,10 +86,11 @@ def highres_imu(
     sequence: int, time_us: int, sensor_id: int, accel_mps2: Vector3 = ABSENT3, gyro_rps: Vector3 = ABSENT3
 ) -> MavlinkFrame:
     """HIGHRES_IMU with base_link readings; NaN axes are sent as not updated."""
-    axes = dict(zip(("xacc", "yacc", "zacc"), turned(accel_mps2), strict=True))
-    axes |= dict(zip(("xgyro", "ygyro", "zgyro"), turned(gyro_rps), strict=True))
-    updated = sum(1 << i for i, value in enumerate(axes.values()) if not isnan(value))
-    present: dict[str, Any] = {name: value for name, value in axes.items() if not isnan(value)}
+    updated, present = 0, dict[str, Any]()
+    for bit, name, value in zip(_BITS, _ACCEL_AXES + _GYRO_AXES, turned(accel_mps2) + turned(gyro_rps), strict=True):
+        if not isnan(value):
+            updated |= bit
+            present[name] = value
     return build("HIGHRES_IMU", sequence=sequence, time_usec=time_us, fields_updated=updated, id=sensor_id, **present)
 
 

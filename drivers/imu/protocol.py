@@ -131,7 +131,7 @@ def _fault(message: str, reading: Reading) -> str | None:
     """Why a reading must not be used; None where nothing is wrong with it."""
     if not reading.present:
         return "nothing_new"
-    if not all(isfinite(value) for value in reading.present):
+    if not all(map(isfinite, reading.present)):
         return "not_finite"
     # Absent axes are NaN, which no limit refuses.
     limits = ((reading.accel_mps2, _ACCEL_LIMIT_MPS2), (reading.gyro_rps, _GYRO_LIMIT_RPS))
