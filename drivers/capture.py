@@ -1,8 +1,10 @@
 """Record and replay a drive: the bytes exactly as each read gave them, in one MCAP file.
 
 A channel per device, topic `/raw/<device>`. Each message is one read: `log_time` is the host's wall clock, for people
-and viewers; `publish_time` its monotonic clock at receipt, the only time that replay uses. The configuration's text is
-the metadata record `terrabound.config`, and comes first, so that even the head of a broken file replays alone.
+and viewers; `publish_time` its monotonic clock at receipt, the only time that replay uses. Empty messages of
+`/deadline/<device>` say where a deadline of the driver passed: that changes what it makes of the bytes that follow. The
+configuration's text is the metadata record `terrabound.config`, and comes first, so that even the head of a broken file
+replays alone.
 """
 
 import contextlib
@@ -26,6 +28,7 @@ CONFIG_RECORD = "terrabound.config"
 CONFIG_KEY = "toml"
 DBC_KEY = "dbc"
 RAW_TOPIC = "/raw/"
+DEADLINE_TOPIC = "/deadline/"
 BYTES_ENCODING = "application/octet-stream"
 CAN_ENCODING = "application/x-can-frame"
 
@@ -56,6 +59,8 @@ class RawChunk:
     data: bytes
     stamp_ns: int
     """Monotonic time of the read on the machine that recorded."""
+    deadline: bool = False
+    """No read at all (and no bytes): the driver was told that its deadline had passed."""
 
 
 class CaptureWriter:
@@ -95,17 +100,22 @@ class CaptureWriter:
 
     def write(self, device: str, data: bytes, monotonic_ns: int, wall_ns: int) -> None:
         """Record one read of `device`. CaptureError when the disk refuses; nothing more is recorded after that."""
+        encoding = CAN_ENCODING if device in self._can_frames else BYTES_ENCODING
+        self._write(RAW_TOPIC + device, encoding, data, monotonic_ns, wall_ns)
+
+    def write_deadline(self, device: str, monotonic_ns: int, wall_ns: int) -> None:
+        """Record that the driver of `device` was told that its deadline had passed. CaptureError as of `write`."""
+        self._write(DEADLINE_TOPIC + device, BYTES_ENCODING, b"", monotonic_ns, wall_ns)
+
+    def _write(self, topic: str, encoding: str, data: bytes, monotonic_ns: int, wall_ns: int) -> None:
         with self._lock:
             if self._closed:
                 raise CaptureError(f"{self.path}: this recording has ended; begin another file")
-            channel = self._channels.get(device)
+            channel = self._channels.get(topic)
             if channel is None:
-                encoding = CAN_ENCODING if device in self._can_frames else BYTES_ENCODING
-                channel = self._channels[device] = self._writer.register_channel(
-                    RAW_TOPIC + device, encoding, schema_id=0
-                )
-            sequence = self._sequences.get(device, 0)
-            self._sequences[device] = sequence + 1
+                channel = self._channels[topic] = self._writer.register_channel(topic, encoding, schema_id=0)
+            sequence = self._sequences.get(topic, 0)
+            self._sequences[topic] = sequence + 1
             if self._flushed_ns is None:
                 self._flushed_ns = monotonic_ns
             try:
@@ -156,18 +166,18 @@ class Capture:
         """Is the end missing? Damage further in is known once the iteration has come to it."""
 
     def __iter__(self) -> Iterator[RawChunk]:
-        """Every read of every device, in the order recorded."""
-        devices: dict[int, str | None] = {}
+        """Every read and every deadline of every device, in the order recorded."""
+        devices: dict[int, tuple[str, bool]] = {}
         with self.path.open("rb") as file:
             records = self._whole_records(file)
             for record in records:
                 if isinstance(record, Channel):
-                    topic = record.topic
-                    devices[record.id] = topic.removeprefix(RAW_TOPIC) if topic.startswith(RAW_TOPIC) else None
-                elif isinstance(record, Message):
-                    device = devices.get(record.channel_id)
-                    if device is not None:
-                        yield RawChunk(device, record.data, record.publish_time)
+                    for prefix, deadline in ((RAW_TOPIC, False), (DEADLINE_TOPIC, True)):
+                        if record.topic.startswith(prefix):
+                            devices[record.id] = record.topic.removeprefix(prefix), deadline
+                elif isinstance(record, Message) and (source := devices.get(record.channel_id)) is not None:
+                    device, deadline = source
+                    yield RawChunk(device, b"" if deadline else record.data, record.publish_time, deadline)
 
     def _whole_records(self, file: IO[bytes]) -> Iterator[McapRecord]:
         reader = StreamReader(file, emit_chunks=True, record_size_limit=_RECORD_LIMIT_BYTES)

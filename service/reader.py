@@ -100,6 +100,7 @@ class Reader:
             now_ns, received_ns = self._clock.now_ns(), time.monotonic_ns()
             self._health.alive(name, received_ns)
             if protocol.deadline_ns is not None and protocol.deadline_ns <= now_ns:
+                self._record(None, now_ns)
                 protocol.advance(now_ns)
             if not data:
                 continue
@@ -112,12 +113,15 @@ class Reader:
             if self._acknowledge is not None:
                 self._acknowledge(name, self._total_bytes)
 
-    def _record(self, data: bytes, now_ns: int) -> None:
-        """Into the capture, if there is one; where the disk refuses, mapping goes on without it."""
+    def _record(self, data: bytes | None, now_ns: int) -> None:
+        """Into the capture, if there is one (None: a deadline); where the disk refuses, mapping goes on without it."""
         if self._capture is None:
             return
         try:
-            self._capture.write(self._device.name, data, now_ns, time.time_ns())
+            if data is None:
+                self._capture.write_deadline(self._device.name, now_ns, time.time_ns())
+            else:
+                self._capture.write(self._device.name, data, now_ns, time.time_ns())
         except CaptureError as error:
             self._capture = None
             self._health.trouble("recording", str(error))

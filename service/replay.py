@@ -24,9 +24,13 @@ def replay(
         if protocol is None:
             pipeline.counts["chunks_of_unknown_devices"] += 1
             continue
+        if chunk.deadline:
+            protocol.advance(chunk.stamp_ns)
+            continue
         if not chunk.data:
             protocol.connection_made(chunk.stamp_ns)
             continue
+        # Our own recordings hold every deadline; those of others may not.
         if protocol.deadline_ns is not None and protocol.deadline_ns <= chunk.stamp_ns:
             protocol.advance(chunk.stamp_ns)
         for sample in protocol.receive_data(chunk.data, chunk.stamp_ns):

@@ -2,17 +2,22 @@
 
 import tempfile
 import time
-from collections.abc import Callable, Iterable
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 
 from drivers.capture import RawChunk
 from drivers.clock import LockstepClock
 from drivers.errors import CaptureError, PortLost
+from drivers.protocol import DeviceProtocol
+from drivers.samples import Sample
 from estimator.bounded_pose import BoundedPose
 from service.config import LoadedConfig
+from service.devices import wiring
 from service.onboard import Onboard
 from service.pipeline import Pipeline
 from simulator.ports import PseudoPort
@@ -48,10 +53,13 @@ def replay_through_ports(
         for name, link in links.items():
             ports[name] = PseudoPort(link)
             stack.callback(ports[name].close)
-        onboard = Onboard(on_ports, readers_clock, on_pose=on_pose, lockstep=True, publish=False)
+        devices = wiring(on_ports)
+        rehearsed = {device.name: _Rehearsed(device.protocol()) for device in devices}
+        devices = tuple(replace(device, protocol=partial(rehearsed.__getitem__, device.name)) for device in devices)
+        onboard = Onboard(on_ports, readers_clock, devices=devices, on_pose=on_pose, lockstep=True, publish=False)
         onboard.start()
         stack.callback(onboard.stop)
-        wires = _Wires(clock, ports, onboard)
+        wires = _Wires(clock, ports, onboard, rehearsed)
         wires.wait_until_open()
         if first is not None:
             for chunk in chain([first], chunks):
@@ -62,13 +70,65 @@ def replay_through_ports(
         return onboard.pipeline
 
 
+class _Rehearsed:
+    """A driver whose deadlines pass where the recording says, not when the replay's clock happens to be looked at."""
+
+    def __init__(self, protocol: DeviceProtocol[Sample]) -> None:
+        self._protocol = protocol
+        self._passed_ns: deque[int] = deque()
+        self.counts = protocol.counts
+
+    @property
+    def baud(self) -> int | None:
+        """As the driver wants it."""
+        return self._protocol.baud
+
+    @property
+    def deadline_ns(self) -> None:
+        """The reader shall not look after deadlines."""
+        return
+
+    def deadline_passed(self, time_ns: int) -> None:
+        """At this place in the recording; takes effect before the bytes that follow. Any thread."""
+        self._passed_ns.append(time_ns)
+
+    def connection_made(self, now_ns: int) -> None:
+        """As in the recording."""
+        self.advance(now_ns)
+        self._protocol.connection_made(now_ns)
+
+    def advance(self, now_ns: int) -> None:
+        """Let the recorded deadlines pass; nothing has asked the driver since."""
+        while self._passed_ns:
+            self._protocol.advance(self._passed_ns.popleft())
+
+    def receive_data(self, data: bytes, stamp_ns: int) -> Sequence[Sample]:
+        """As the service does it directly, see service/replay.py."""
+        self.advance(stamp_ns)
+        deadline_ns = self._protocol.deadline_ns
+        if deadline_ns is not None and deadline_ns <= stamp_ns:
+            self._protocol.advance(stamp_ns)
+        return self._protocol.receive_data(data, stamp_ns)
+
+    def data_to_send(self) -> bytes:
+        """Questions to a device that isn't there."""
+        return self._protocol.data_to_send()
+
+
 class _Wires:
     """The far ends of the ports."""
 
-    def __init__(self, clock: LockstepClock, ports: dict[str, PseudoPort], onboard: Onboard) -> None:
+    def __init__(
+        self,
+        clock: LockstepClock,
+        ports: dict[str, PseudoPort],
+        onboard: Onboard,
+        rehearsed: dict[str, "_Rehearsed"],
+    ) -> None:
         self._clock = clock
         self._ports = ports
         self._onboard = onboard
+        self._rehearsed = rehearsed
         self._totals = dict.fromkeys(ports, 0)
         self._opened: set[str] = set()
 
@@ -87,6 +147,9 @@ class _Wires:
         """Give one chunk at its time, and wait until it was read; an empty chunk plugs the device in anew."""
         port = self._ports.get(chunk.device)
         if port is None:
+            return
+        if chunk.deadline:
+            self._rehearsed[chunk.device].deadline_passed(chunk.stamp_ns)
             return
         self._clock.set(max(chunk.stamp_ns, self._clock.now_ns()))
         if chunk.data:

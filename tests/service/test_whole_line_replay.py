@@ -1,0 +1,82 @@
+"""Recorded bytes, replayed directly and through ports, give what the live run gave."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.capture import read_capture
+from mapper.saved_map import SavedMap
+from mapper.saved_map import load as load_map
+from service.commands.evaluation import check_bounds
+from service.commands.port_drive import PortDrive
+from service.commands.replay import replay
+
+SaidOnStderr = Callable[[], str]
+
+
+@pytest.fixture
+def said(capsys: pytest.CaptureFixture[str]) -> SaidOnStderr:
+    """What was written on standard error since it was last asked."""
+    return lambda: capsys.readouterr().err
+
+
+def inside(part: SavedMap, whole: SavedMap) -> bool:
+    """Is every cell of `part` a cell of `whole`, and its interval inside that one's?"""
+    shift = (np.array(part.origin_m) - np.array(whole.origin_m)) / whole.resolution_m
+    ix, iy = (round(float(cells)) for cells in shift)
+    rows, columns = slice(iy, iy + part.low.shape[0]), slice(ix, ix + part.low.shape[1])
+    low, high = whole.low[rows, columns], whole.high[rows, columns]
+    seen = np.isfinite(part.low)
+    assert low.shape == part.low.shape
+    return bool((low[seen] <= part.low[seen]).all() and (part.high[seen] <= high[seen]).all())
+
+
+def test_the_drive_was_bounded(port_drive: PortDrive) -> None:
+    """Through real ports, drivers, filter and mapper: no true pose and no true hit outside, and enough of both."""
+    poses, laser = port_drive.pose_sets(), port_drive.loaded.config.devices.laser
+    pose_violations, cell_violations, hits = check_bounds(port_drive.truth, poses, load_map(port_drive.map), laser)
+    assert (pose_violations, cell_violations) == (0, 0)
+    assert hits > 50_000
+    assert port_drive.onboard.pipeline.filter.guarantee.intact
+
+
+@pytest.mark.parametrize("ports", [False, True], ids=["directly", "through ports"])
+def test_a_replay_is_the_live_run_bit_for_bit(port_drive: PortDrive, tmp_path: Path, ports: bool) -> None:
+    """The same bytes with the same stamps: the same map file and the same pose sets."""
+    replay(port_drive.capture, map=tmp_path / "map.npz", poses=tmp_path / "poses.jsonl", ports=ports)
+    assert (tmp_path / "map.npz").read_bytes() == port_drive.map.read_bytes()
+    assert (tmp_path / "poses.jsonl").read_bytes() == port_drive.poses.read_bytes()
+
+
+def test_a_cut_recording_replays_up_to_the_cut(port_drive: PortDrive, tmp_path: Path, said: SaidOnStderr) -> None:
+    """Wherever a crash cut it: it replays, says so, and claims nothing that the whole drive does not claim."""
+    whole, full = port_drive.capture.read_bytes(), load_map(port_drive.map)
+    cells = []
+    for share in (0.34, 0.5, 0.77, 0.9):
+        cut = tmp_path / f"cut-{share}.mcap"
+        cut.write_bytes(whole[: round(share * len(whole))])
+        assert replay(cut, map=tmp_path / "cut.npz") == 0
+        assert "cut short" in said()
+        part = load_map(tmp_path / "cut.npz")
+        cells.append(int(np.isfinite(part.low).sum()))
+        assert inside(part, full)
+    assert cells == sorted(cells)
+    assert 0 < cells[-1] <= int(np.isfinite(full.low).sum())
+
+
+def test_a_recording_cut_inside_any_record_replays(port_drive: PortDrive, tmp_path: Path, said: SaidOnStderr) -> None:
+    """Byte by byte across the boundary of a record: never an error, always what was whole before."""
+    whole = port_drive.capture.read_bytes()
+    chunks = len(list(read_capture(port_drive.capture)))
+    middle = len(whole) // 3
+    counts = []
+    for length in (10, 100, *range(middle, middle + 60_000, 2357)):
+        cut = tmp_path / "cut.mcap"
+        cut.write_bytes(whole[:length])
+        capture = read_capture(cut)
+        counts.append(len(list(capture)))
+        assert capture.truncated
+    assert counts == sorted(counts)
+    assert 0 < counts[-1] < chunks
