@@ -142,9 +142,9 @@ class Filter:
     def accept(self, sample: WheelTicks | InertialSample | Fix) -> None:
         """Take one sample. One that comes out of order, or can't be used, is dropped and counted."""
         if isinstance(sample, InertialSample):
-            if not isnan(min(sample.gyro_rps, key=isnan)):
+            if not all(map(isnan, sample.gyro_rps)):
                 self._predict_attitude(sample)
-            if not isnan(min((*sample.tilt_rad, *sample.accel_mps2[:2]), key=isnan)):
+            if not (all(map(isnan, sample.tilt_rad)) and all(map(isnan, sample.accel_mps2[:2]))):
                 self._queue(self._tilts, sample)
             while self._tilts and self._correct_tilt(self._tilts[0]):
                 self._tilts.popleft()

@@ -1,6 +1,7 @@
 """Which pose belongs to which beam: beams shot close together share one pose box that covers all their times."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,14 @@ class BeamTimes:
 
 def beam_times(scan: Scan) -> BeamTimes:
     """Cut a scan's shots into stretches of at most STRETCH_NS, each widened by the scan's stamp."""
-    offset = scan.beam_offset_ns
+    pose_index, first, last = _stretches(scan.beam_offset_ns.tobytes())
+    return BeamTimes(pose_index, first + scan.stamp.earliest_ns, last + scan.stamp.latest_ns)
+
+
+@lru_cache(maxsize=16)
+def _stretches(offsets: bytes) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:
+    """The stretch [n] of each shot, first and last shot [m] of each stretch. A scanner has few patterns of shots."""
+    offset = np.frombuffer(offsets, np.int64)
     bins = (offset - offset.min()) // STRETCH_NS
     _, pose_index = np.unique(bins, return_inverse=True)
     count = int(pose_index.max()) + 1
@@ -33,4 +41,6 @@ def beam_times(scan: Scan) -> BeamTimes:
     last = np.full(count, np.iinfo(np.int64).min)
     np.minimum.at(first, pose_index, offset)
     np.maximum.at(last, pose_index, offset)
-    return BeamTimes(pose_index.astype(np.int32), first + scan.stamp.earliest_ns, last + scan.stamp.latest_ns)
+    stretches = pose_index.astype(np.int32)
+    stretches.flags.writeable = False
+    return stretches, first, last

@@ -172,12 +172,13 @@ class Health:
         with self._lock:
             self._drops[name] = total
 
-    def processed(self, now_ns: int, counts: Mapping[str, int], guarantee: Guarantee = INTACT) -> None:
-        """The pipeline took all samples that had come; `counts` are its own."""
+    def processed(self, now_ns: int, counts: Mapping[str, int] | None = None, guarantee: Guarantee = INTACT) -> None:
+        """The pipeline took all samples that had come; `counts` are its own, where it has brought them together."""
         with self._lock:
             self._unanswered_ns = None
             self._answered_ns = now_ns
-            self._pipeline = dict(counts)
+            if counts is not None:
+                self._pipeline = dict(counts)
             self._guarantee = guarantee
 
     def flowing(self, now_ns: int) -> bool:

@@ -26,8 +26,10 @@ from service.sample_queue import SampleQueue
 
 IDLE_S = 0.02
 """The pipeline thread looks up this often when no sample comes."""
-LEAST_OFFER_NS = 5_000_000
-"""Updates are at least this far apart: a fast replay coalesces more instead of publishing more."""
+LEAST_OFFER_NS = 10_000_000
+"""Updates are at least this far apart: a fast replay coalesces more instead of publishing more. Scans are farther."""
+COUNT_PERIOD_NS = 50_000_000
+"""The pipeline's counts are brought together this often."""
 OFFER_PERIOD_NS = 100_000_000
 """Pose and health are offered at least this often, also when no cell changed."""
 
@@ -93,6 +95,8 @@ class Onboard:
         self._lockstep = lockstep
         self._stopping = threading.Event()
         self._offered_ns = 0
+        self._counted_ns = 0
+        self._uncounted = False
         self._save_wanted = threading.Event()
         self._resources = ExitStack()
         self._readers: list[Reader] = []
@@ -184,7 +188,7 @@ class Onboard:
                 arrivals = self.queue.take(IDLE_S)
                 for arrival in arrivals:
                     self.pipeline.step(arrival)
-                if arrivals:
+                if arrivals or self._uncounted:
                     self._report()
                 self._offer()
                 if self._save_wanted.is_set():
@@ -196,12 +200,17 @@ class Onboard:
             self._failure = error
 
     def _report(self) -> None:
-        """Tell health what the pipeline has done."""
-        pipeline = self.pipeline
+        """Tell health that the pipeline has taken what there was, and now and then how much that has been."""
+        now_ns, pipeline = time.monotonic_ns(), self.pipeline
+        self._uncounted = now_ns - self._counted_ns < COUNT_PERIOD_NS
+        if self._uncounted:
+            self.health.processed(now_ns, guarantee=pipeline.filter.guarantee)
+            return
+        self._counted_ns = now_ns
         counts = pipeline.counts | {f"filter_{name}": count for name, count in pipeline.filter.counts.items()}
         counts |= {f"late_{name}": count for name, count in pipeline.late.items()}
         counts["scans_waiting"] = pipeline.waiting_scans
-        self.health.processed(time.monotonic_ns(), counts, pipeline.filter.guarantee)
+        self.health.processed(now_ns, counts, pipeline.filter.guarantee)
         for name, total in self.queue.dropped.items():
             self.health.dropped(name, total)
 

@@ -31,6 +31,8 @@ class WaitingScan:
 
     scan: Scan
     times: BeamTimes
+    end_ns: int
+    """When its poses are complete, if the horizon is there."""
     received_ns: int
 
 
@@ -77,14 +79,15 @@ class Pipeline:
         """Give the filter a measurement, or let a scan wait; then insert the scans that the poses have reached."""
         sample = arrival.sample
         if isinstance(sample, Scan):
-            self._waiting.append(WaitingScan(sample, beam_times(sample), arrival.received_ns))
+            times = beam_times(sample)
+            self._waiting.append(WaitingScan(sample, times, int(times.latest_ns.max()), arrival.received_ns))
             if len(self._waiting) > MAX_WAITING_SCANS:
                 self._waiting.popleft()
                 self.counts["scans_dropped_waiting"] += 1
         else:
             self.filter.accept(sample)
-        horizon_ns = self.filter.horizon_ns
-        while self._waiting and horizon_ns is not None and self._waiting[0].times.latest_ns.max() <= horizon_ns:
+        horizon_ns = self.filter.horizon_ns if self._waiting else None
+        while self._waiting and horizon_ns is not None and self._waiting[0].end_ns <= horizon_ns:
             self._insert(self._waiting.popleft(), received_ns)
 
     def _insert(self, waiting: WaitingScan, received_ns: int) -> None:
