@@ -1,17 +1,22 @@
 """Recorded bytes, replayed directly and through ports, give what the live run gave."""
 
+import random
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from drivers.capture import read_capture
+from drivers.capture import RawChunk, read_capture
+from drivers.sick_lms.protocol import SickLmsProtocol
 from mapper.saved_map import SavedMap
 from mapper.saved_map import load as load_map
 from service.commands.evaluation import check_bounds
 from service.commands.port_drive import PortDrive
 from service.commands.replay import replay
+from service.replay import replay as replay_directly
+from simulator.emulated_robot import as_heard
+from simulator.emulators.sick_lms import SickLmsEmulator
 
 SaidOnStderr = Callable[[], str]
 
@@ -80,3 +85,29 @@ def test_a_recording_cut_inside_any_record_replays(port_drive: PortDrive, tmp_pa
         assert capture.truncated
     assert counts == sorted(counts)
     assert 0 < counts[-1] < chunks
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_recording_replays_however_the_scanner_was_found(port_drive: PortDrive, seed: int) -> None:
+    """Whatever rates the driver tried before, and however late it was told of its deadlines: the same scans."""
+    chance = random.Random(seed)
+    scanner = SickLmsEmulator(lambda times, _: np.full(times.size, 3.0))
+    driver = SickLmsProtocol(port_drive.loaded.config.devices.laser)
+    now_ns = chance.randrange(4000) * 1_000_000
+    scanner.data_to_send(now_ns)
+    driver.connection_made(now_ns)
+    recorded, scans = [RawChunk("laser", b"", now_ns)], 0
+    for _ in range(700):
+        now_ns += chance.randrange(1, 8) * 5_000_000
+        if driver.deadline_ns <= now_ns:
+            recorded.append(RawChunk("laser", b"", now_ns, deadline=True))
+            driver.advance(now_ns)
+        scanner.receive_data(as_heard(driver.data_to_send(), scanner.baud, driver.baud), now_ns)
+        rate = scanner.baud
+        while data := scanner.data_to_send(now_ns):
+            recorded.append(RawChunk("laser", as_heard(data, rate, driver.baud), now_ns))
+            scans += len(driver.receive_data(recorded[-1].data, now_ns))
+            rate = scanner.baud
+    counts = replay_directly(port_drive.loaded, recorded).counts
+    assert counts["scans_without_pose"] + counts["scans_dropped_waiting"] == scans
+    assert scans > 100
