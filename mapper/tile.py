@@ -76,6 +76,13 @@ def unseen_tile(submap: int, ix: int, iy: int, resolution_m: float) -> Tile:
     return Tile(submap, ix, iy, resolution_m, nothing, nothing)
 
 
+def compile_tiles() -> None:
+    """Have the machine code made now (a second at first, then cached), so that no tile waits for it."""
+    nothing = unseen_tile(0, 0, 0, 1.0)
+    snapped_cells(snap_outward(join(nothing, changed(nothing, nothing))))
+    assert nothing.cells_seen == 0
+
+
 def join(a: Tile, b: Tile) -> Tile:
     """Cell by cell the hull [min of lows, max of highs]; an unseen cell takes the other's. Exact."""
     if not _same_place(a, b):

@@ -20,7 +20,7 @@ from zenoh.handlers import RingChannel
 from drivers.errors import LinkError
 from estimator.bounded_pose import Anchor, BoundedPose, Guarantee
 from mapper.saved_map import assemble, save
-from mapper.tile import Tile, content_crc, join
+from mapper.tile import Tile, compile_tiles, content_crc, join
 from mapper.tile_codec import TileFormatError, decode
 from service.messages import (
     DigestAssembly,
@@ -115,6 +115,7 @@ class RemoteMap:
         self._digest_count = self._repaired_digest = 0
         self._assembly = DigestAssembly()
         self._latencies_ns: deque[int] = deque(maxlen=MAX_LATENCIES)
+        compile_tiles()
         self._receiver = threading.Thread(target=self._receive, name="remote-map", daemon=True)
         self._repairer = threading.Thread(target=self._repair, name="remote-map-repair", daemon=True)
 

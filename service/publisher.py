@@ -22,7 +22,7 @@ from pydantic.dataclasses import dataclass
 from drivers.config import STRICT, Positive
 from drivers.errors import LinkError
 from estimator.bounded_pose import INTACT, Anchor, BoundedPose, Guarantee
-from mapper.tile import Tile, changed, content_crc, snap_outward
+from mapper.tile import Tile, changed, compile_tiles, content_crc, snap_outward
 from mapper.tile_codec import encode
 from service.messages import (
     DigestEntry,
@@ -105,6 +105,7 @@ class PublishedMap:
     """The map as subscribers are to have it: each tile snapped outward, with a version and a CRC."""
 
     def __init__(self) -> None:
+        compile_tiles()
         self._tiles: dict[TileId, PublishedTile] = {}
         self._crcs: dict[TileId, int] = {}
         """Worked out when a digest asks: a tile changes many times a second, a digest comes once."""
