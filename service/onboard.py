@@ -22,6 +22,7 @@ from service.map_file import save_map
 from service.pipeline import Pipeline
 from service.publisher import MapUpdate, Publisher
 from service.reader import Reader
+from service.rehearsal import rehearse
 from service.sample_queue import SampleQueue
 
 IDLE_S = 0.02
@@ -118,6 +119,7 @@ class Onboard:
                 self._capture_path, self._loaded.text, self._loaded.dbc_text(), can_frames(self.devices)
             )
             self._resources.callback(self._end_recording, capture)
+        rehearse(self._loaded.config)
         self.publisher.start()
         # A reader that wakes up then waits this long at most for the interpreter, instead of 5 ms.
         sys.setswitchinterval(0.0005)
