@@ -49,8 +49,16 @@ numba.config.CACHE_DIR = str(_cache_folder())  # type: ignore[attr-defined]
 
 
 def compiled(function: F) -> F:
-    """Machine code for `function`: cached on disk, releasing the interpreter lock, no fastmath.
+    """Machine code for `function`: cached on disk, no fastmath.
 
     Division by zero gives an infinity or NaN, as in numpy, instead of raising.
+    """
+    return cast(F, numba.njit(cache=True, error_model="numpy")(function))
+
+
+def compiled_unlocked(function: F) -> F:
+    """The same for work of tens of microseconds: other threads run meanwhile, as it releases the interpreter lock.
+
+    Shorter work should keep the lock: each release invites a waiting thread to take it, and costs more than it gives.
     """
     return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))

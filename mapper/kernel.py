@@ -8,7 +8,7 @@ the call returns early; the caller makes it larger and calls again from that bea
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.compiled import compiled
+from drivers.compiled import compiled, compiled_unlocked
 from mapper.grid import CELL_LIMIT, TILE_CELLS, TILE_SHIFT, TILE_SIDE, tile_key
 from mapper.projection import (
     B_CENTRE,
@@ -121,7 +121,7 @@ def hull_rows(cells: Cells, row0: int, row1: int, col0: int, col1: int, neg_low:
     return changed
 
 
-@compiled
+@compiled_unlocked
 def insert_beams(
     first: int,
     ranges: Floats,
@@ -240,7 +240,7 @@ def copy_tile(tile: int, pool: Cells, low: Cells, high: Cells) -> None:
             high[row, col] = pool[tile, at + 1] if seen else NOTHING
 
 
-@compiled
+@compiled_unlocked
 def tally(tiles: int, pool: Cells) -> tuple[int, float]:
     """Cells seen in the first `tiles` tiles, and the sum of their widths."""
     seen, width = 0, 0.0

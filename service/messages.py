@@ -7,6 +7,7 @@ else doesn't fit is refused with `MalformedMessage`. A bound that is infinite is
 import json
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from math import isfinite
 from typing import Annotated, Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -240,7 +241,7 @@ class DigestAssembly:
 
 
 def _finite(bounds: NDArray[np.float64]) -> list[float | None]:
-    return [float(bound) if np.isfinite(bound) else None for bound in bounds]
+    return [bound if isfinite(bound) else None for bound in bounds.tolist()]
 
 
 def _bounds(

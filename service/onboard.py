@@ -122,7 +122,7 @@ class Onboard:
         rehearse(self._loaded.config)
         self.publisher.start()
         # A reader that wakes up then waits this long at most for the interpreter, instead of 5 ms.
-        sys.setswitchinterval(0.0005)
+        sys.setswitchinterval(0.002)
         self._thread.start()
         acknowledge = self._acknowledge if self._lockstep else None
         self._readers = [

@@ -29,7 +29,7 @@ from simulator.emulators.track_encoders import TrackEncodersEmulator
 from simulator.ports import PseudoPort
 from simulator.world import World
 
-SLICE_NS = 5_000_000
+SLICE_NS = 10_000_000
 SETTLE_S = 0.05
 """Hosts may flush a port just after they have opened it: nothing is sent for so long."""
 PATIENCE_S = 60.0
@@ -64,6 +64,7 @@ class Wire:
 
     def __init__(self, name: str, emulator: Emulator, port: PseudoPort) -> None:
         self.name, self.emulator, self.port = name, emulator, port
+        self._prepared: list[tuple[bytes, int | None]] = []
         self._written = 0
         self._lost = 0
 
@@ -74,6 +75,11 @@ class Wire:
 
     def exchange(self, now_ns: int) -> None:
         """Both directions, up to now."""
+        self.prepare(now_ns)
+        self.send()
+
+    def prepare(self, now_ns: int) -> None:
+        """Take what the host wrote, and have ready what the device has finished sending by `now_ns`."""
         if request := self.port.read():
             self.emulator.receive_data(self._on_the_line(request), now_ns)
         # A device that changes its rate hands out what it sent before by itself.
@@ -81,10 +87,16 @@ class Wire:
             rate = self.emulator.baud
             data = self.emulator.data_to_send(now_ns)
             if data:
-                self._written += len(data)
-                self.port.write(self._on_the_line(data, rate))
+                self._prepared.append((data, rate))
             if self.emulator.baud == rate:
                 return
+
+    def send(self) -> None:
+        """Write what is ready."""
+        for data, rate in self._prepared:
+            self._written += len(data)
+            self.port.write(self._on_the_line(data, rate))
+        self._prepared.clear()
 
     def write_off(self, acknowledged: int) -> None:
         """What the host left unread when it closed the port is lost."""
@@ -186,6 +198,8 @@ class _Run:
                 end_ns = self._world.drive_end_ns
                 if end_ns is not None and self._now_ns >= end_ns and not self._stay:
                     break
+            if self._clock is not None:
+                self._wait_for_acknowledgements(self._clock)
         except KeyboardInterrupt:
             pass
         finally:
@@ -202,16 +216,20 @@ class _Run:
     def _slice(self, pace: "_Pace") -> None:
         """One slice of time."""
         driving, heard = self._drive_start_ns is not None, self._devices.heard
-        if self._meddle is not None and self._drive_start_ns is not None:
-            self._meddle({wire.name: wire for wire in self._wires}, (self._now_ns - self._drive_start_ns) * 1e-9)
         pace.wait(self._slice_ns, driving or heard)
-        self._now_ns = self._now_ns + self._slice_ns if self._clock is not None else SystemClock().now_ns()
+        before_ns = self._now_ns
+        self._now_ns = before_ns + self._slice_ns if self._clock is not None else SystemClock().now_ns()
+        for wire in self._wires:
+            wire.prepare(self._now_ns)
+        if self._clock is not None:
+            # Only now, so that the hosts have dealt with the last slice while this one was made.
+            self._wait_for_acknowledgements(self._clock)
+        if self._meddle is not None and self._drive_start_ns is not None:
+            self._meddle({wire.name: wire for wire in self._wires}, (before_ns - self._drive_start_ns) * 1e-9)
         if self._clock is not None:
             self._clock.set(self._now_ns)
         for wire in self._wires:
-            wire.exchange(self._now_ns)
-        if self._clock is not None:
-            self._wait_for_acknowledgements(self._clock)
+            wire.send()
         grid_ns = BEGIN_GRID_NS if self._clock is not None else 1
         if not driving and heard and (self._now_ns - self._world.start_ns) % grid_ns < self._slice_ns:
             self._drive_start_ns = self._now_ns
