@@ -198,6 +198,8 @@ def direction(x: Interval, y: Interval) -> Interval:
     """
     if x[0] <= 0.0 <= x[1] and y[0] <= 0.0 <= y[1]:
         return 1.0, -1.0
+    if not 1e-100 < max(mig(x), mig(y)) < 1e100:
+        return 1.0, -1.0  # so near (or far) that the products below would underflow (or overflow)
     cx = mid(x)
     cy = mid(y)
     least = 0.0

@@ -6,7 +6,7 @@ from math import pi
 import mpmath
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from estimator import interval as iv
@@ -92,6 +92,7 @@ def test_arcsine_holds_the_exact_result(x: float) -> None:
 
 @settings(max_examples=400, deadline=None)
 @given(st.floats(-10, 10), st.floats(-10, 10), st.floats(0, 4), st.floats(0, 4), fraction, fraction)
+@example(0.0, 1.6720429865575655e-248, 3.70430824849643e-250, 0.0, 0.0, 0.0)  # products underflow
 def test_direction_holds_every_point_of_the_box(
     x: float, y: float, width: float, height: float, s: float, t: float
 ) -> None:

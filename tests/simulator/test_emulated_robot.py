@@ -32,20 +32,20 @@ DURATION_S = 6.0
 
 CONFIG = DevicesConfig(
     laser=LaserConfig(
-        port="laser", latency_ms=(0, 6), range_bound_m=0.03, angle_bound_deg=0.1, range_max_m=8.0, mount_x_m=0.2,
+        port="laser", latency_ms=(0, 11), range_bound_m=0.03, angle_bound_deg=0.1, range_max_m=8.0, mount_x_m=0.2,
         mount_y_m=0.0, mount_z_m=0.468, mount_pitch_deg=-10.0, mount_position_bound_m=0.002, mount_angle_bound_deg=0.1,
     ),
     encoders=EncodersConfig(
         port="encoders", dbc=str(DBC), left="TRACKS.LEFT", right="TRACKS.RIGHT", left_metres_per_tick=2e-4,
-        right_metres_per_tick=2e-4, latency_ms=(0, 6),
+        right_metres_per_tick=2e-4, latency_ms=(0, 11),
     ),
     imu=ImuConfig(
-        port="imu", baud=921600, latency_ms=(0, 6), clock_drift_ppm=50, gyro_bias_bound_dps=0.3,
+        port="imu", baud=921600, latency_ms=(0, 11), clock_drift_ppm=50, gyro_bias_bound_dps=0.3,
         gyro_bias_drift_dps2=0.0005, gyro_noise_bound_dps=0.05, gyro_scale_bound=0.002, tilt_bound_deg=0.3,
         accel_bound_mps2=0.1,
     ),
     gps=GpsConfig(
-        port="gps", latency_ms=(38, 48), gst_factor=5, range_error_m=5, floor_horizontal_m=0.02,
+        port="gps", latency_ms=(38, 50), gst_factor=5, range_error_m=5, floor_horizontal_m=0.02,
         floor_vertical_m=0.04, rtk_fixed_horizontal_m=0.05, rtk_fixed_vertical_m=0.08, antenna_z_m=0.6,
     ),
 )  # fmt: skip
