@@ -30,6 +30,8 @@ from simulator.ports import PseudoPort
 from simulator.world import World
 
 SLICE_NS = 10_000_000
+SLOW_SENSOR_PERIOD_NS = 20_000_000
+"""Accelerometers and tilt sensor: 50 Hz, beside the gyroscope's 200."""
 SETTLE_S = 0.05
 """Hosts may flush a port just after they have opened it: nothing is sent for so long."""
 PATIENCE_S = 60.0
@@ -315,6 +317,8 @@ def emulate_devices(
             world.accel,
             world.tilt,
             start_ns=start_ns,
+            accel_period_ns=SLOW_SENSOR_PERIOD_NS,
+            tilt_period_ns=SLOW_SENSOR_PERIOD_NS,
             baud=imu.baud,
             latency_ns=_latency_ns("imu", imu.latency_ms, slice_ns),
             clock_ppm=imu.clock_drift_ppm * 0.99 * world.law.channel("imu.clock").level,
