@@ -3,7 +3,6 @@
 Used alike by `run`, `demo`, `replay --ports` and the tests; they differ in the clock and in where the ports lead.
 """
 
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -31,6 +30,8 @@ LEAST_OFFER_NS = 10_000_000
 """Updates are at least this far apart: a fast replay coalesces more instead of publishing more. Scans are farther."""
 COUNT_PERIOD_NS = 50_000_000
 """The pipeline's counts are brought together this often."""
+GATHER_S = 0.004
+"""In lockstep, which may hurry: take more at a time, so that readers and pipeline change places less often."""
 OFFER_PERIOD_NS = 100_000_000
 """Pose and health are offered at least this often, also when no cell changed."""
 
@@ -121,8 +122,6 @@ class Onboard:
             self._resources.callback(self._end_recording, capture)
         rehearse(self._loaded.config)
         self.publisher.start()
-        # A reader that wakes up then waits this long at most for the interpreter, instead of 5 ms.
-        sys.setswitchinterval(0.002)
         self._thread.start()
         acknowledge = self._acknowledge if self._lockstep else None
         self._readers = [
@@ -188,6 +187,9 @@ class Onboard:
         try:
             while not self._stopping.is_set() or not self.queue.empty:
                 arrivals = self.queue.take(IDLE_S)
+                if self._lockstep and arrivals:
+                    time.sleep(GATHER_S)
+                    arrivals += self.queue.take(0)
                 for arrival in arrivals:
                     self.pipeline.step(arrival)
                 if arrivals or self._uncounted:

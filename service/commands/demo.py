@@ -23,6 +23,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from drivers.clock import LockstepClock
 from drivers.errors import TerraboundError
+from estimator.bounded_pose import BoundedPose
 from service.commands.emulate import Law, Speed
 from service.commands.emulated import EmulatedRobot
 from service.commands.evaluation import draw_evaluation, evaluate, results_table
@@ -80,13 +81,12 @@ def demo(
         )
         clock = LockstepClock.attach(robot.clock_path)
         stack.callback(clock.close)
-        poses_path = output / "poses.jsonl"
-        poses = stack.enter_context(poses_path.open("w", encoding="utf-8"))
+        poses: list[BoundedPose] = []
         onboard = Onboard(
             loaded,
             clock,
             capture=output / "drive.mcap",
-            on_pose=lambda pose: print(write_pose(pose).decode(), file=poses),
+            on_pose=poses.append,
             lockstep=True,
         )
         onboard.start()
@@ -100,7 +100,8 @@ def demo(
         onboard.save_map(output / "map.npz")
         onboard.publisher.flush(5.0)
         copy = watcher.finish()
-        poses.flush()
+        poses_path = output / "poses.jsonl"
+        poses_path.write_text("".join(f"{write_pose(pose).decode()}\n" for pose in poses), encoding="utf-8")
         truth = robot.truth()
         evaluation = evaluate(onboard, truth, poses_path, output, copy, duration / elapsed_s)
     picture = output / "map.png"

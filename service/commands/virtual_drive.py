@@ -1,7 +1,7 @@
 """A drive without ports: emulated devices, drivers, filter and mapper in one process, in virtual time.
 
-The same parts as in a run, joined mouth to mouth in slices of 10 ms, so that many drives can be held against their truth
-in little time. For the proofs (`make prove`) and the tests.
+The same parts as in a run, joined mouth to mouth in slices of 10 ms: many drives are held against their truth in little
+time. For the proofs (`make prove`) and the tests.
 """
 
 from collections.abc import Callable, Mapping
