@@ -31,7 +31,7 @@ LEAST_OFFER_NS = 10_000_000
 COUNT_PERIOD_NS = 50_000_000
 """The pipeline's counts are brought together this often."""
 GATHER_S = 0.004
-"""In lockstep, which may hurry: take more at a time, so that readers and pipeline change places less often."""
+"""In lockstep, where samples come faster than this: take more at a time, so that threads change places less often."""
 OFFER_PERIOD_NS = 100_000_000
 """Pose and health are offered at least this often, also when no cell changed."""
 
@@ -184,10 +184,11 @@ class Onboard:
 
     def _map(self) -> None:
         """The pipeline thread: take, step, offer."""
+        done_s = 0.0
         try:
             while not self._stopping.is_set() or not self.queue.empty:
                 arrivals = self.queue.take(IDLE_S)
-                if self._lockstep and arrivals:
+                if self._lockstep and arrivals and time.monotonic() - done_s < GATHER_S:
                     time.sleep(GATHER_S)
                     arrivals += self.queue.take(0)
                 for arrival in arrivals:
@@ -195,6 +196,7 @@ class Onboard:
                 if arrivals or self._uncounted:
                     self._report()
                 self._offer()
+                done_s = time.monotonic()
                 if self._save_wanted.is_set():
                     self._save_wanted.clear()
                     self._save_in_passing()
