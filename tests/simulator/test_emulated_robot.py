@@ -133,9 +133,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
 
 
 def test_every_device_is_heard_at_its_rate(run: Run) -> None:
-    """75 scans, 100 counts, 500 inertial packets, 10 fixes a second: none lost, none false."""
+    """75 scans, 100 counts, 350 inertial packets, 10 fixes a second: none lost, none false."""
     end_ns, begin_ns = run.truth.pose_time_ns[-1], run.truth.pose_time_ns[-1] - 5_000_000_000
-    for name, rate in (("laser", 1 / 0.01332), ("encoders", 100), ("imu", 500), ("gps", 10)):
+    for name, rate in (("laser", 1 / 0.01332), ("encoders", 100), ("imu", 350), ("gps", 10)):
         within = [s for s in run.of(name) if begin_ns < s.stamp.mid_ns <= end_ns - 100_000_000]
         assert len(within) == pytest.approx(4.9 * rate, abs=2 + 0.01 * rate)
     for name, dirt in (("laser", "bad_crc"), ("imu", "bad_crc"), ("imu", "lost"), ("gps", "bad_checksum")):
@@ -146,7 +146,7 @@ def test_the_drive_begins_when_the_hosts_listen_and_ends_on_time(run: Run) -> No
     """States pass from waiting over starting and driving to done; the drive has its whole duration."""
     states = [report.state for report in run.reports]
     assert states == sorted(states, key=["waiting", "starting", "driving", "done"].index)
-    assert run.reports[-1].driven_s == pytest.approx(DURATION_S, abs=0.006)
+    assert run.reports[-1].driven_s == pytest.approx(DURATION_S, abs=0.011)
     assert run.reports[-1].scans > 75 * DURATION_S
     assert np.ptp(run.truth.pose[:, 0]) > 0.5
 
