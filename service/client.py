@@ -186,6 +186,14 @@ class RemoteMap:
                 lambda: self._in_sync and (self._final if final else self._digest_count > before), timeout_s
             )
 
+    def wait_complete(self, timeout_s: float) -> bool:
+        """Wait until the copy holds every tile as a digest listed it; a robot that maps on is ahead again at once."""
+        with self._changed:
+            return self._changed.wait_for(
+                lambda: self._in_sync or (self._root is not None and not self._listing_wanted and not self._stale),
+                timeout_s,
+            )
+
     def wait_for_digest(self, timeout_s: float) -> bool:
         """Wait until one more digest has been compared with the copy."""
         with self._changed:

@@ -49,7 +49,7 @@ def demo(
 
     Nothing real is needed: four emulated devices speak on pseudo-terminals, the real drivers, filter, mapper and
     publisher run against them, and a subscriber joins the tiles over Zenoh. Leaves a picture, the map, the poses and
-    the raw capture in the output folder. Ends with 1 if any true pose or true hit was outside its bounds.
+    the raw capture in the output folder, and the truth beside them. Ends with 1 if any true pose or true hit was outside its bounds.
 
     Parameters
     ----------
@@ -103,6 +103,7 @@ def demo(
         poses_path = output / "poses.jsonl"
         poses_path.write_text("".join(f"{write_pose(pose).decode()}\n" for pose in poses), encoding="utf-8")
         truth = robot.truth()
+        shutil.copy(robot.truth_path, output / "truth.npz")
         evaluation = evaluate(onboard, truth, poses_path, output, copy, duration / elapsed_s)
     picture = output / "map.png"
     draw_evaluation(picture, evaluation, truth, output, scene)

@@ -35,7 +35,7 @@ class EmulatedRobot:
     ) -> None:
         """Devices come up as folder/ports/laser and so on; `config` declares the bounds that their errors keep."""
         self.clock_path = folder / "clock"
-        self._truth_path = folder / "truth.npz"
+        self.truth_path = folder / "truth.npz"
         arguments = {
             "--config": config,
             "--links": folder / "ports",
@@ -45,7 +45,7 @@ class EmulatedRobot:
             "--seed": seed,
             "--errors": errors,
             "--clock": self.clock_path,
-            "--truth": self._truth_path,
+            "--truth": self.truth_path,
         }
         options = [str(word) for pair in arguments.items() for word in pair]
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115  closed by __exit__
@@ -89,7 +89,7 @@ class EmulatedRobot:
 
     def truth(self) -> Truth:
         """What was true, once `follow` has ended."""
-        return Truth.load(self._truth_path)
+        return Truth.load(self.truth_path)
 
     def _failed(self) -> TerraboundError:
         self._process.wait()

@@ -40,7 +40,7 @@ def watch(
     console = Console(stderr=True)
     with stop_on_signals() as ended, RemoteMap(connect, robot=robot) as remote:
         if once:
-            synced = remote.wait_in_sync(FINAL_SYNC_S)
+            synced = remote.wait_complete(FINAL_SYNC_S)
         else:
             with Live(_table(remote), console=console, refresh_per_second=2, transient=True) as live:
                 while not ended.wait(0.5):
@@ -53,8 +53,9 @@ def watch(
         console.print(_table(remote))
     if not synced:
         console.print(
-            f"terrabound: {connect}: the copy is not known to equal the robot's map; is the robot reachable?",
+            f"terrabound: {connect}: the copy is not known to be complete; is a robot reachable there?",
             style="red",
+            soft_wrap=True,
         )
     return 0 if synced else 1
 
