@@ -48,8 +48,8 @@ def demo(
     """Drive an emulated robot over a scene, map it, copy the map to a second process, and check every bound.
 
     Nothing real is needed: four emulated devices speak on pseudo-terminals, the real drivers, filter, mapper and
-    publisher run against them, and a subscriber joins the tiles over Zenoh. Leaves a picture, the map, the poses and
-    the raw capture in the output folder, and the truth beside them. Ends with 1 if any true pose or true hit was outside its bounds.
+    publisher run against them, and a subscriber joins the tiles over Zenoh. Leaves a picture, the map, the poses, the
+    raw capture and the truth in the output folder. Ends with 1 if any true pose or true hit was outside its bounds.
 
     Parameters
     ----------
