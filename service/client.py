@@ -110,6 +110,8 @@ class RemoteMap:
         """The robot's root differs from ours, and we have no listing to tell where."""
         self._root: tuple[int, int] | None = None
         """(tiles, root) of the newest digest."""
+        self._compared = False
+        """Has a listing of this epoch been compared with the copy?"""
         self._in_sync = False
         self._final = False
         self._digest_count = self._repaired_digest = 0
@@ -190,7 +192,7 @@ class RemoteMap:
         """Wait until the copy holds every tile as a digest listed it; a robot that maps on is ahead again at once."""
         with self._changed:
             return self._changed.wait_for(
-                lambda: self._in_sync or (self._root is not None and not self._listing_wanted and not self._stale),
+                lambda: self._in_sync or (self._compared and not self._stale),
                 timeout_s,
             )
 
@@ -385,7 +387,7 @@ class RemoteMap:
         self._crcs.clear()
         self._stale.clear()
         self._root = None
-        self._in_sync = self._final = False
+        self._compared = self._in_sync = self._final = False
         self._listing_wanted = True
 
     # Digest and repair
@@ -415,7 +417,7 @@ class RemoteMap:
 
     def _compare(self, listed: Mapping[TileId, int]) -> None:
         """Note what differs from the listing, and let go of what the robot doesn't have."""
-        self._listing_wanted = False
+        self._listing_wanted, self._compared = False, True
         own = {entry.tile: entry.crc for entry in self._entries()}
         for place in own.keys() - listed.keys():
             del self._tiles[place]
