@@ -51,8 +51,9 @@ class Evaluation:
 
     @property
     def sound(self) -> bool:
-        """Did every bound hold, and was there something to hold?"""
-        return self.pose_violations == 0 and self.cell_violations == 0 and self.hits_checked > 0
+        """Did every bound hold, was none called broken, and was there something to hold?"""
+        held = self.pose_violations == 0 and self.cell_violations == 0
+        return held and self.guarantee == "intact" and self.hits_checked > 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
