@@ -1,14 +1,16 @@
 """Compile a numeric function to machine code, and keep that code fresh.
 
 numba's cache looks only at the file that defines a function: a callee edited in another file would leave old
-machine code in place. So the cache folder is keyed by a hash of all sources that hold compiled functions.
+machine code in place. So each module's cache folder is keyed by a hash of the module and of all that it imports.
 NUMBA_CACHE_DIR, where set (the systemd unit sets it), is the parent folder.
 """
 
 import hashlib
 import os
+import re
 import tempfile
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -17,35 +19,47 @@ import numba
 F = TypeVar("F", bound=Callable[..., Any])
 
 _HOUSE = Path(__file__).resolve().parent.parent
-_FLOORS = ("drivers", "estimator", "mapper", "simulator")
+_IMPORT = re.compile(rb"^from ((?:drivers|estimator|mapper|simulator)[\w.]*) import (.*)$", re.MULTILINE)
 
 
-def _source_hash() -> str:
-    """Hash of every source file that may hold a compiled function."""
+def _sources(module: Path) -> list[Path]:
+    """`module` and every file of this house that it imports, however indirectly: constants are compiled in."""
+    waiting, found = [module], set[Path]()
+    while waiting:
+        path = waiting.pop()
+        if path in found or not path.is_file():
+            continue
+        found.add(path)
+        for name, members in _IMPORT.findall(path.read_bytes()):
+            folder = _HOUSE / name.decode().replace(".", "/")
+            waiting.append(folder.with_suffix(".py"))
+            waiting += [folder / f"{member}.py" for member in re.findall(r"\w+", members.decode())]
+    return sorted(found)
+
+
+@cache
+def _cache_folder(module: Path) -> str:
+    """Where `module` keeps its machine code: in NUMBA_CACHE_DIR, else the user's cache folder, else a temporary one."""
     digest = hashlib.sha256()
-    for floor in _FLOORS:
-        for path in sorted((_HOUSE / floor).rglob("*.py")):
-            digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
-
-
-def _cache_folder() -> Path:
-    """First writable choice of: NUMBA_CACHE_DIR, the user's cache folder, a temporary one."""
+    for path in _sources(module):
+        digest.update(path.read_bytes())
     named = os.environ.get("NUMBA_CACHE_DIR")
     home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     parents = [Path(named)] if named else [Path(home) / "terrabound"]
     for parent in [*parents, Path(tempfile.gettempdir()) / f"terrabound-{os.getuid()}"]:
-        folder = parent / _source_hash()
+        folder = parent / digest.hexdigest()[:16]
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError:
             continue
         if os.access(folder, os.W_OK):
-            return folder
-    return Path(tempfile.mkdtemp(prefix="terrabound-"))
+            return str(folder)
+    return tempfile.mkdtemp(prefix="terrabound-")
 
 
-numba.config.CACHE_DIR = str(_cache_folder())  # type: ignore[attr-defined]
+def _keep_beside(function: Callable[..., Any]) -> None:
+    """Have numba keep what it compiles next in the cache folder of the function's module."""
+    numba.config.CACHE_DIR = _cache_folder(Path(function.__code__.co_filename))  # type: ignore[attr-defined]
 
 
 def compiled(function: F) -> F:
@@ -53,6 +67,7 @@ def compiled(function: F) -> F:
 
     Division by zero gives an infinity or NaN, as in numpy, instead of raising.
     """
+    _keep_beside(function)
     return cast(F, numba.njit(cache=True, error_model="numpy")(function))
 
 
@@ -61,4 +76,5 @@ def compiled_unlocked(function: F) -> F:
 
     Shorter work should keep the lock: each release invites a waiting thread to take it, and costs more than it gives.
     """
+    _keep_beside(function)
     return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
