@@ -104,7 +104,9 @@ class Fix:
     """GGA quality: 1 autonomous, 2 differential, 4 RTK fixed, 5 RTK float."""
     hdop: float
     bound_m: Vector3
-    """Half-widths (east, north, up): the true antenna is inside."""
+    """Half-widths (east, north, up): the true antenna is inside. Infinite where nothing tells one."""
+    ground_velocity_mps: tuple[float, float] | None = None
+    """(east, north) as the receiver states it, from its speed and course; it declares no bound: never for sets."""
 
 
 Sample: TypeAlias = Scan | WheelTicks | InertialSample | Fix
