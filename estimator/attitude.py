@@ -1,0 +1,223 @@
+"""The attitude chain: a box of (roll, pitch, yaw) at the true time of each gyro packet, and the gyro's bias box."""
+
+from collections import Counter
+from math import isnan, radians
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.config import ImuConfig
+from drivers.samples import InertialSample, Stamp
+from estimator.config import FilterConfig, RobotConfig
+from estimator.gyro_packets import GyroPackets, Packet
+from estimator.inconsistency import Contradictions
+from estimator.interval import is_empty, meet, up, widen
+from estimator.motion import QUANTUM, GyroBounds, add_effort, excursion, rotate, turn
+from estimator.observations import contract_tilt
+from estimator.tube import Tube
+
+UNKNOWN_TILT = 1.5707963267948968
+"""Roll and pitch are taken to stay within 90 degrees."""
+UNKNOWN_YAW = 3.1415926535897936
+DONE, CONTRADICTS = 0, 1
+"""What contract_tilt says."""
+LONGEST_BRIDGE_NS = 50_000_000
+"""The first encoder reading may come this long before the first gyro packet; else a later one begins the map."""
+
+
+class AttitudeChain:
+    """Predicted by the gyroscope, corrected by tilt sensor and accelerometers; yaw is zero where the map begins."""
+
+    def __init__(
+        self,
+        robot: RobotConfig,
+        config: FilterConfig,
+        imu: ImuConfig,
+        counts: Counter[str],
+        contradictions: Contradictions,
+    ) -> None:
+        self.gyro = GyroBounds(
+            noise=up(radians(imu.gyro_noise_bound_dps)),
+            scale=imu.gyro_scale_bound,
+            most_rate=up(radians(robot.max_turn_rate_dps)),
+            most_acceleration=up(radians(robot.max_turn_acceleration_dps2)),
+            most_bias=up(radians(imu.gyro_bias_bound_dps)),
+            bias_drift=up(radians(imu.gyro_bias_drift_dps2)),
+        )
+        self._tilt_bound = up(radians(imu.tilt_bound_deg))
+        self._accel_bound = up(imu.accel_bound_mps2 + robot.max_acceleration_mps2)
+        self._still_rate = up(radians(config.standstill_rate_dps))
+        self._counts, self._contradictions = counts, contradictions
+        self.tube = Tube(int(config.history_s * 1e9))
+        self.packets = GyroPackets(imu.clock_drift_ppm, counts, contradictions)
+        self.bias = np.array([[-self.gyro.most_bias, self.gyro.most_bias]] * 3)
+        self.level = False
+        """Is the newest attitude a verified box?"""
+        self.zeroed = False
+        """Has the map begun?"""
+        self._turned, self._varied, self._swing = np.zeros((3, 2)), np.zeros(3), np.zeros(3)
+
+    # ---------------------------------------------------------------- predict
+
+    def predict(self, sample: InertialSample) -> None:
+        """rotate -> turn: one node further, at the true time of this gyro packet."""
+        if not self.packets.fits(sample):
+            return
+        if not len(self.packets):
+            self._append(sample, sample.stamp, np.zeros(3))
+            return
+        elapsed = self.packets.elapsed(sample)
+        turned, varied, swing = self._turned, self._varied, self._swing
+        rate = np.array(sample.gyro_rps)
+        if not rotate(rate, self.bias, elapsed.least_s, elapsed.most_s, elapsed.gap, self.gyro, turned, varied):
+            self._contradictions.report("gyro", sample.stamp.mid_ns)
+        box = self.tube.box[self.tube.newest].copy()
+        was_level = self.level
+        self.level = self.level and turn(box, turned, varied, swing)
+        i = self._append(sample, elapsed.stamp, varied)
+        if self.level:
+            self.tube.box[i], self.tube.swing[i] = box, swing
+        elif was_level:
+            self._counts["attitude_lost"] += 1
+            yaw = 0.5 * (box[2, 0] + box[2, 1])
+            self.tube.box[i, 2] = min(box[2, 0], yaw - UNKNOWN_YAW), max(box[2, 1], yaw + UNKNOWN_YAW)
+        else:
+            self.tube.box[i, 2] = self.tube.box[i - 1, 2]
+
+    def _append(self, sample: InertialSample, stamp: Stamp, varied: NDArray[np.float64]) -> int:
+        """A node whose tilt is not known yet."""
+        effort = np.empty(3, dtype=np.int64)
+        add_effort(self.packets[-1].effort if len(self.packets) else np.zeros(3, dtype=np.int64), varied, effort)
+        i = self.tube.push(stamp.earliest_ns, stamp.latest_ns)
+        self.tube.effort[i] = effort
+        self.tube.box[i, :2] = -UNKNOWN_TILT, UNKNOWN_TILT
+        self.tube.box[i, 2] = -UNKNOWN_YAW, UNKNOWN_YAW
+        self.tube.swing[i] = 0.0
+        self.packets.append(sample, stamp, effort)
+        return i
+
+    # ---------------------------------------------------------------- correct
+
+    def correct_tilt(self, sample: InertialSample) -> bool:
+        """Contract roll and pitch of the newest node by a reading of a little before; False if it must wait.
+
+        Between the reading and the node the angles move no further than the variation of the rates allows.
+        """
+        around = self.packets.around(sample)
+        if around is None:
+            return False
+        earlier, newest = around
+        if earlier is None:
+            self._counts["tilt_too_early"] += 1
+            return True
+        i = self.tube.newest
+        outcome = contract_tilt(
+            self.tube.box[i], self.level, *sample.tilt_rad, self._tilt_bound, *sample.accel_mps2[:2],
+            self._accel_bound, newest.effort, earlier.effort,
+        )  # fmt: skip
+        if outcome == CONTRADICTS:
+            by_tilt = not all(isnan(angle) for angle in sample.tilt_rad)
+            self._contradictions.report("tilt" if by_tilt else "accelerometer", sample.stamp.mid_ns)
+        if outcome != DONE:
+            return True
+        if not self.level:
+            self.level = True
+            if not self.zeroed:
+                self._look_back(i)
+        return True
+
+    def _look_back(self, newest: int) -> None:
+        """The tilt is known for the first time: what it, and a yaw of zero here, say of the nodes before."""
+        tube = self.tube
+        box = tube.box[newest]
+        box[2] = 0.0, 0.0
+        moved = np.empty(3)
+        for i in range(newest - 1, tube.begin - 1, -1):
+            varied = radians_of(tube.effort[newest] - tube.effort[i])
+            if not excursion((box[0, 0], box[0, 1]), (box[1, 0], box[1, 1]), varied, moved):
+                tube.begin = i + 1
+                break
+            for c in range(3):
+                tube.box[i, c] = widen((box[c, 0], box[c, 1]), moved[c])
+            tube.swing[i + 1] = 0.0  # node i's box holds all that comes between it and the newest
+
+    def learn_bias(self, begin_ns: int, end_ns: int, used_until_ns: int) -> None:
+        """The robot stood still: what packets of [begin, end] measured since the last call was bias."""
+        for packet in reversed(self.packets):
+            if packet.began_ns < begin_ns or packet.stamp.latest_ns <= used_until_ns:
+                break
+            if packet.stamp.latest_ns <= end_ns:
+                self._correct_bias(packet)
+
+    def _correct_bias(self, packet: Packet) -> None:
+        """bias = measured - true ± noise ± scale |true|, some time ago: wider by the drift since then."""
+        age = (self.packets[-1].stamp.latest_ns - packet.began_ns) * 1e-9
+        error = self.gyro.noise + self._still_rate * (1.0 + self.gyro.scale) + self.gyro.scale * self.gyro.most_bias
+        error = up(up(error + up(self.gyro.bias_drift * age)) * (1.0 + 1e-12))
+        for axis, rate in enumerate(packet.rate):
+            if isnan(rate):
+                continue
+            narrowed = meet((self.bias[axis, 0], self.bias[axis, 1]), widen((rate, rate), error))
+            if is_empty(narrowed):
+                self._contradictions.report("gyro", packet.stamp.mid_ns)
+            else:
+                self.bias[axis] = narrowed
+
+    # ---------------------------------------------------------------- the beginning
+
+    def begin_map(self, stamp: Stamp) -> tuple[int, int] | None:
+        """Yaw is zero at this stamp: subtract what the yaw (counted from the first known tilt) can be now.
+
+        The nodes before and after the stamp; None if the chain began too late for that.
+        """
+        tube = self.tube
+        oldest = int(tube.times[tube.begin, 1])
+        if stamp.earliest_ns < oldest:
+            moved = self._counts["encoders_before_attitude"] > 0
+            if moved or oldest - stamp.earliest_ns > LONGEST_BRIDGE_NS or len(self.packets) < 2:
+                self._counts["encoders_before_attitude"] += 1
+                return None
+            self._bridge(stamp.earliest_ns, oldest)
+        a, b = tube.before(stamp.earliest_ns), tube.after(stamp.latest_ns)
+        zero = tube.hull(a, b)[2]
+        span = slice(tube.begin, tube.end)
+        low = np.nextafter(tube.box[span, 2, 0] - zero[1], -np.inf)
+        high = np.nextafter(tube.box[span, 2, 1] - zero[0], np.inf)
+        tube.box[span, 2] = np.stack([low, high], axis=1)
+        self.zeroed = True
+        return a, b
+
+    def _bridge(self, time_ns: int, oldest_ns: int) -> None:
+        """A node at the first encoder reading, before the gyro's first packet: rates can't have been far from the next.
+
+        The mean rate of the second packet was the true one at some instant between the first and the second.
+        """
+        tube = self.tube
+        packet = self.packets[1]
+        gap = up((oldest_ns - time_ns) * 1e-9)
+        longest = up((packet.stamp.latest_ns - time_ns) * 1e-9)
+        varied = np.empty(3)
+        for axis, rate in enumerate(packet.rate):
+            error = (
+                self.gyro.noise + self.gyro.most_bias + self.gyro.scale * (self.gyro.most_rate + self.gyro.most_bias)
+            )
+            most = self.gyro.most_rate
+            if not isnan(rate):
+                most = min(most, up(up(abs(rate) + error) + up(self.gyro.most_acceleration * longest)))
+            varied[axis] = up(most * gap)
+        moved = np.full(3, UNKNOWN_TILT)
+        first = tube.begin
+        box = tube.box[first].copy()
+        close = excursion((box[0, 0], box[0, 1]), (box[1, 0], box[1, 1]), varied, moved)
+        effort = np.ceil(varied / QUANTUM).astype(np.int64) + 1
+        i = tube.prepend(time_ns)
+        tube.effort[i] = tube.effort[first] - effort
+        tube.swing[first] = 0.0  # the new node's box holds all that comes between
+        for c in range(3):
+            limit = UNKNOWN_YAW if c == 2 else UNKNOWN_TILT
+            tube.box[i, c] = widen((box[c, 0], box[c, 1]), moved[c]) if close else (-limit, limit)
+
+
+def radians_of(effort: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Summed variations in rad; exact."""
+    return np.asarray(effort * QUANTUM, dtype=np.float64)
