@@ -112,6 +112,8 @@ class RemoteMap:
         """(tiles, root) of the newest digest."""
         self._compared = False
         """Has a listing of this epoch been compared with the copy?"""
+        self._introduced = False
+        """Were info, anchor and health of this epoch asked for and answered?"""
         self._in_sync = False
         self._final = False
         self._digest_count = self._repaired_digest = 0
@@ -381,12 +383,13 @@ class RemoteMap:
         """Another run of the publisher is another map, in another frame perhaps: begin anew."""
         if epoch == self._epoch:
             return
-        self._epoch = epoch
+        first, self._epoch = self._epoch is None, epoch
         self.counts["epochs"] += 1
         self._tiles.clear()
         self._crcs.clear()
         self._stale.clear()
         self._root = None
+        self._introduced = self._introduced and first
         self._compared = self._in_sync = self._final = False
         self._listing_wanted = True
 
@@ -398,16 +401,18 @@ class RemoteMap:
             self._enter_epoch(part.epoch)
             self._final = part.final
             self._root = (part.tiles, part.root)
-            self._in_sync = self._equals_digest()
+            equal = self._equals_digest()
+            self._in_sync = equal and self._introduced
             listed = self._assembly.add(part) if part.parts else None
-            if self._in_sync:
+            if equal:
                 self._stale.clear()
                 self._listing_wanted = False
             elif listed is not None:
                 self._compare(listed)
             elif part.parts == 0:
                 self._listing_wanted = True
-            if self._in_sync or listed is not None or part.parts == 0:
+            self._listing_wanted = self._listing_wanted or not self._introduced
+            if equal or listed is not None or part.parts == 0:
                 self._digest_count += 1
             self._changed.notify_all()
 
@@ -465,9 +470,11 @@ class RemoteMap:
 
     def _bring_listing(self, session: zenoh.Session, robot: str) -> None:
         """Ask for what a late joiner missed: info, anchor, health, and last a digest with all entries."""
-        asked = [self._ask(session, topic_key(robot, topic)) for topic in (INFO, ANCHOR, HEALTH, DIGEST)]
-        for answers in asked:
+        asked = [(topic, self._ask(session, topic_key(robot, topic))) for topic in (INFO, ANCHOR, HEALTH, DIGEST)]
+        for topic, answers in asked:
             for sample in self._answers(answers):
+                # A robot that knows no place yet has no anchor to tell; whoever answers at all has been asked for it.
+                self._introduced = self._introduced or topic is DIGEST
                 self._take(sample, time.monotonic_ns())
 
     def _bring_tiles(self, session: zenoh.Session, robot: str, places: Sequence[TileId]) -> None:
@@ -501,7 +508,7 @@ class RemoteMap:
                 else:
                     self._join(tile)
                 if not self._stale:
-                    self._in_sync = self._equals_digest()
+                    self._in_sync = self._introduced and self._equals_digest()
                 self._changed.notify_all()
         except (MalformedMessage, TileFormatError):
             with self._changed:

@@ -481,6 +481,6 @@ def test_a_process_with_an_open_copy_ends_by_itself() -> None:
         "print('in sync', flush=True)\n"
     )
     done = subprocess.run(
-        [sys.executable, "-c", program, free_address()], capture_output=True, text=True, timeout=WAIT_S
+        [sys.executable, "-c", program, free_address()], capture_output=True, text=True, timeout=3 * WAIT_S
     )
     assert (done.returncode, done.stdout) == (0, "in sync\n"), done.stderr
