@@ -62,10 +62,12 @@ class ElevationMap:
         self._pool = _unseen_pool(0)
         self._keys = np.empty(0, np.uint64)
         self._dirty = np.empty(0, np.bool_)
+        self._sure = np.empty((0, TILE_SIDE), np.uint64)
         self._table = np.empty(0, np.int32)
         self._grow(min(_FIRST_TILES, config.max_tiles))
         self._insert(np.empty(0), np.empty(0, np.int32), np.zeros((1, 6)), np.zeros((1, 6)))
-        kernel.copy_tile(0, self._pool, *np.empty((2, TILE_SIDE, TILE_SIDE), np.float32))
+        low, high = np.empty((2, TILE_SIDE, TILE_SIDE), np.float32)
+        kernel.copy_tile(0, self._pool, self._sure, low, high, np.empty((TILE_SIDE, TILE_SIDE), np.bool_))
 
     def insert(self, scan: Scan, low: Floats, high: Floats, pose_index: NDArray[np.int32]) -> InsertResult:
         """Take a scan in whose beam i was shot from somewhere in the pose box [low, high][pose_index[i]].
@@ -103,8 +105,8 @@ class ElevationMap:
         while True:
             # fmt: off
             found = kernel.join_tile(
-                tile.ix, tile.iy, tile.low, tile.high, self.config.max_tiles,
-                self._count, self._table, self._keys, self._dirty, self._pool,
+                tile.ix, tile.iy, tile.low, tile.high, tile.surely_hit, self.config.max_tiles,
+                self._count, self._table, self._keys, self._dirty, self._pool, self._sure,
             )
             # fmt: on
             if found != kernel.POOL_FULL:
@@ -155,7 +157,7 @@ class ElevationMap:
                 done, ranges, self._cosines, self._sines, pose_index, low, high,
                 self._geometry, self.config.resolution_m, self.config.max_footprint_m, self.config.max_tiles,
                 self._work, self._poses, self._block,
-                self._count, self._table, self._keys, self._dirty, self._pool, self._fates,
+                self._count, self._table, self._keys, self._dirty, self._pool, self._sure, self._fates,
             )
             # fmt: on
             if done == ranges.size:
@@ -173,8 +175,9 @@ class ElevationMap:
     def _tile(self, index: int) -> Tile:
         ix, iy = tile_indices(int(self._keys[index]))
         low, high = np.empty((2, TILE_SIDE, TILE_SIDE), np.float32)
-        kernel.copy_tile(index, self._pool, low, high)
-        return Tile(self.submap, ix, iy, self.config.resolution_m, low, high)
+        surely_hit = np.empty((TILE_SIDE, TILE_SIDE), np.bool_)
+        kernel.copy_tile(index, self._pool, self._sure, low, high, surely_hit)
+        return Tile(self.submap, ix, iy, self.config.resolution_m, low, high, surely_hit)
 
     def _grow_further(self) -> None:
         self._grow(min(2 * self._keys.size, self.config.max_tiles))
@@ -183,10 +186,12 @@ class ElevationMap:
         """Make room for `capacity` tiles."""
         tiles = self.tile_count
         pool, keys, dirty = _unseen_pool(capacity), np.zeros(capacity, np.uint64), np.zeros(capacity, np.bool_)
+        sure = np.zeros((capacity, TILE_SIDE), np.uint64)
         pool[:tiles], keys[:tiles], dirty[:tiles] = self._pool[:tiles], self._keys[:tiles], self._dirty[:tiles]
+        sure[:tiles] = self._sure[:tiles]
         table = np.full(1 << (2 * capacity - 1).bit_length(), kernel.FREE, np.int32)
         kernel.rebuild_table(tiles, table, keys)
-        self._pool, self._keys, self._dirty, self._table = pool, keys, dirty, table
+        self._pool, self._keys, self._dirty, self._sure, self._table = pool, keys, dirty, sure, table
 
 
 def _unseen_pool(capacity: int) -> kernel.Cells:

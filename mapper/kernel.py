@@ -30,6 +30,8 @@ Indices = NDArray[np.int32]
 Counts = NDArray[np.int64]
 Keys = NDArray[np.uint64]
 Flags = NDArray[np.bool_]
+Bits = NDArray[np.uint64]
+"""[tiles, 64]: a word a row of cells, bit c for column c."""
 
 TILE_FLOATS = 2 * TILE_CELLS
 FREE = -1
@@ -82,6 +84,7 @@ def tile_at(
     table: Indices,
     keys: Keys,
     pool: Cells,
+    sure: Bits,
 ) -> np.int64:
     """Number of the tile `key`, added (unseen everywhere) if it is new; LEFT_OUT or POOL_FULL if there is no room."""
     place = find_slot(key, table, keys)
@@ -96,6 +99,7 @@ def tile_at(
         table[place] = tile
         keys[tile] = key
         pool[tile] = UNSEEN
+        sure[tile] = np.uint64(0)
     return tile
 
 
@@ -142,12 +146,13 @@ def insert_beams(
     keys: Keys,
     dirty: Flags,
     pool: Cells,
+    sure: Bits,
     counts: Counts,
 ) -> int:
     """Take beams from `first` on; return the number of the beam that needs a larger pool, or n when all are done.
 
     ranges, cosines, sines, pose_index [n]; pose_low, pose_high [m, 6]; poses [>= m, P_SIZE], work, block: scratch;
-    count [1] tiles in use; table the hash; keys, dirty, pool one row a tile; counts [COUNTS] is added to.
+    count [1] tiles in use; table the hash; keys, dirty, pool, sure one row a tile; counts [COUNTS] is added to.
     """
     beams, inverse = ranges.size, 1.0 / resolution_m
     for m in range(pose_low.shape[0]):
@@ -185,7 +190,7 @@ def insert_beams(
             for tx in range(i0 >> TILE_SHIFT, (i1 >> TILE_SHIFT) + 1):
                 key = tile_key(tx, ty)
                 if last_tile < 0 or key != last_key:
-                    tile = tile_at(key, max_tiles, count, table, keys, pool)
+                    tile = tile_at(key, max_tiles, count, table, keys, pool, sure)
                     if tile == POOL_FULL:
                         return n
                     if tile == LEFT_OUT:
@@ -196,6 +201,11 @@ def insert_beams(
                 col0, col1 = max(i0 - (tx << TILE_SHIFT), 0), min(i1 - (tx << TILE_SHIFT), TILE_SIDE - 1)
                 if hull_rows(pool[last_tile], row0, row1, col0, col1, neg_low, high):
                     dirty[last_tile] = True
+                if i0 == i1 and j0 == j1:  # the hit is in this cell, as the footprint reaches no other
+                    bit = np.uint64(1) << np.uint64(col0)
+                    if sure[last_tile, row0] & bit == np.uint64(0):
+                        sure[last_tile, row0] |= bit
+                        dirty[last_tile] = True
         counts[BEYOND_CAP if left_out else USED] += 1
     return beams
 
@@ -206,18 +216,21 @@ def join_tile(
     iy: int,
     low: Cells,
     high: Cells,
+    surely_hit: Flags,
     max_tiles: int,
     count: Counts,
     table: Indices,
     keys: Keys,
     dirty: Flags,
     pool: Cells,
+    sure: Bits,
 ) -> np.int64:
-    """Hull a tile's low and high [64, 64] (NaN: nothing) into the map; its number, LEFT_OUT or POOL_FULL."""
-    tile = tile_at(tile_key(ix, iy), max_tiles, count, table, keys, pool)
+    """Join a tile's layers [64, 64] (NaN: nothing) into the map; its number, LEFT_OUT or POOL_FULL."""
+    tile = tile_at(tile_key(ix, iy), max_tiles, count, table, keys, pool, sure)
     if tile < 0:
         return tile
     for row in range(TILE_SIDE):
+        word = np.uint64(0)
         for col in range(TILE_SIDE):
             at = 2 * (row * TILE_SIDE + col)
             if -low[row, col] > pool[tile, at]:  # False for NaN
@@ -226,18 +239,23 @@ def join_tile(
             if high[row, col] > pool[tile, at + 1]:
                 pool[tile, at + 1] = high[row, col]
                 dirty[tile] = True
+            word |= np.uint64(surely_hit[row, col]) << np.uint64(col)
+        if word & ~sure[tile, row] != np.uint64(0):
+            sure[tile, row] |= word
+            dirty[tile] = True
     return tile
 
 
 @compiled
-def copy_tile(tile: int, pool: Cells, low: Cells, high: Cells) -> None:
-    """A tile's low and high [64, 64], NaN where nothing was seen."""
+def copy_tile(tile: int, pool: Cells, sure: Bits, low: Cells, high: Cells, surely_hit: Flags) -> None:
+    """A tile's low and high [64, 64], NaN where nothing was seen, and its flags."""
     for row in range(TILE_SIDE):
         for col in range(TILE_SIDE):
             at = 2 * (row * TILE_SIDE + col)
             seen = pool[tile, at] > UNSEEN
             low[row, col] = -pool[tile, at] if seen else NOTHING
             high[row, col] = pool[tile, at + 1] if seen else NOTHING
+            surely_hit[row, col] = (sure[tile, row] >> np.uint64(col)) & np.uint64(1) != np.uint64(0)
 
 
 @compiled_unlocked

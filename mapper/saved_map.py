@@ -1,7 +1,9 @@
-"""A map as one file: `.npz` with two layers, readable with numpy alone.
+"""A map as one file: `.npz` of layers, readable with numpy alone.
 
 `low`, `high` float32 [ny, nx] metres (NaN = unseen), `resolution_m`, `origin_m` (x, y of the low corner of cell
-[0, 0]), `frame` (name), `anchor` (JSON text that places the map frame on Earth; may be empty).
+[0, 0]), `frame` (name), `anchor` (JSON text that places the map frame on Earth; may be empty), `surely_hit` bool
+[ny, nx] (docs/surely-hit.md); and, where the map keeps evidence, `settled_low`, `settled_high` float32 [ny, nx]
+(docs/ghosts.md; NaN = not settled). Files without the last three are read too.
 """
 
 import os
@@ -21,6 +23,8 @@ from mapper.tile import Tile
 
 _MOST_CELLS = 1 << 28
 _ENTRIES = ("low", "high", "resolution_m", "origin_m", "frame", "anchor")
+_LATER_ENTRIES = ("surely_hit", "settled_low", "settled_high")
+"""Not in every file."""
 
 
 class MapFileError(TerraboundError):
@@ -39,6 +43,11 @@ class SavedMap:
     frame: str
     anchor: str
     """JSON text; empty if unknown."""
+    surely_hit: NDArray[np.bool_] | None = None
+    """[ny, nx] did a beam certainly end in the cell? None: not known."""
+    settled_low: NDArray[np.float32] | None = None
+    """[ny, nx] metres; NaN where not settled. None: the map keeps no evidence."""
+    settled_high: NDArray[np.float32] | None = None
 
 
 def assemble(tiles: Iterable[Tile], resolution_m: float, frame: str, anchor: str = "") -> SavedMap:
@@ -55,22 +64,29 @@ def assemble(tiles: Iterable[Tile], resolution_m: float, frame: str, anchor: str
         raise MapFileError(
             f"the map spans {side[1]} x {side[0]} cells, more than one file can hold; save its submaps or parts apart"
         )
-    low, high = np.full(side, np.nan, np.float32), np.full(side, np.nan, np.float32)
+    low, high, settled_low, settled_high = (np.full(side, np.nan, np.float32) for _ in range(4))
+    surely_hit = np.zeros(side, np.bool_)
     for tile in tiles:
         x, y = (tile.ix - ix0) * TILE_SIDE, (tile.iy - iy0) * TILE_SIDE
         place = np.s_[y : y + TILE_SIDE, x : x + TILE_SIDE]
         low[place], high[place] = np.fmin(low[place], tile.low), np.fmax(high[place], tile.high)
+        surely_hit[place] |= tile.surely_hit
+        settled_low[place] = np.fmin(settled_low[place], tile.settled_low)
+        settled_high[place] = np.fmax(settled_high[place], tile.settled_high)
+    settled = (settled_low, settled_high) if any(tile.has_settled for tile in tiles) else (None, None)
     step = TILE_SIDE * resolution_m
-    return SavedMap(low, high, resolution_m, (ix0 * step, iy0 * step), frame, anchor)
+    return SavedMap(low, high, resolution_m, (ix0 * step, iy0 * step), frame, anchor, surely_hit, *settled)
 
 
 def save(saved: SavedMap, path: Path) -> None:
     """Write the file whole or not at all; the same map gives the same bytes."""
-    values = (saved.low, saved.high, saved.resolution_m, saved.origin_m, saved.frame, saved.anchor)
+    values = [(name, getattr(saved, name)) for name in (*_ENTRIES, *_LATER_ENTRIES)]
 
     def write(file: IO[bytes]) -> None:
         with zipfile.ZipFile(file, "w") as archive:
-            for name, value in zip(_ENTRIES, values, strict=True):
+            for name, value in values:
+                if value is None:
+                    continue
                 # A date of our own: numpy's writer would put the present one into the file.
                 entry = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
                 entry.compress_type = zipfile.ZIP_DEFLATED
@@ -87,10 +103,14 @@ def load(path: Path) -> SavedMap:
     try:
         with np.load(path, allow_pickle=False) as file:
             low, high, resolution, origin, frame, anchor = (file[name] for name in _ENTRIES)
+            later = [file.get(name) for name in _LATER_ENTRIES]
         if not (low.ndim == 2 and low.shape == high.shape and low.dtype == high.dtype == np.float32):
             raise ValueError(f"low is {low.dtype} {list(low.shape)}, high is {high.dtype} {list(high.shape)}")
+        for name, layer, kind in zip(_LATER_ENTRIES, later, (np.bool_, np.float32, np.float32), strict=True):
+            if layer is not None and (layer.shape != low.shape or layer.dtype != kind):
+                raise ValueError(f"{name} is {layer.dtype} {list(layer.shape)}")
         x, y = (float(value) for value in origin)
-        return SavedMap(low, high, float(resolution), (x, y), str(frame), str(anchor))
+        return SavedMap(low, high, float(resolution), (x, y), str(frame), str(anchor), *later)
     except FileNotFoundError:
         raise MapFileError(f"{path}: no such file") from None
     except KeyError as error:

@@ -1,11 +1,12 @@
 """A tile: 64 x 64 cells of a map, each an interval of elevation or unseen. What is published, stored and joined.
 
-The only operation on a cell is the hull. Hull is commutative, associative and idempotent, bit for bit: late, repeated,
-reordered and re-sent tiles change nothing. So is everything here that is built from it.
+Elevations are joined by hull, the flag by OR. Both are commutative, associative and idempotent, bit for bit: late,
+repeated, reordered and re-sent tiles change nothing. So is everything here that is built from them.
 """
 
 import zlib
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from drivers.compiled import compiled
 from mapper.grid import TILE_SIDE, tile_corner_m
 
 Layer = NDArray[np.float32]
+Flags = NDArray[np.bool_]
 
 SNAP_M = 2.0**-9
 """Step of the published elevations."""
@@ -24,10 +26,16 @@ _NAN = np.uint32(0x7FC00000).view(np.float32)
 _ALL_STEPS_M = np.float32(2.0**14)
 """From here on every float32 is a multiple of SNAP_M."""
 
+NOWHERE: Layer = np.full((TILE_SIDE, TILE_SIDE), _NAN)
+"""The layer that says nothing; shared by all tiles whose map keeps no evidence."""
+NOWHERE.flags.writeable = False
+NO_CELL: Flags = np.zeros((TILE_SIDE, TILE_SIDE), np.bool_)
+NO_CELL.flags.writeable = False
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tile:
-    """Elevation intervals of 64 x 64 cells: row = y, column = x, from the tile's low corner; NaN where unseen.
+    """Layers of 64 x 64 cells: row = y, column = x, from the tile's low corner; NaN where unseen.
 
     Always canonical (one NaN, no negative zero) and read-only, so equal tiles are equal bytes.
     """
@@ -39,30 +47,52 @@ class Tile:
     low: Layer
     """[64, 64] float32, metres in the map frame."""
     high: Layer
+    surely_hit: Flags = field(default_factory=lambda: NO_CELL)
+    """[64, 64] bool: a beam certainly ended in this cell (docs/surely-hit.md); of a seen cell only."""
+    settled_low: Layer = field(default_factory=lambda: NOWHERE)
+    """[64, 64] float32: what several separate times agree on (docs/ghosts.md), inside [low, high]; NaN: not yet."""
+    settled_high: Layer = field(default_factory=lambda: NOWHERE)
 
     def __post_init__(self) -> None:
-        low, high = _blank(), _blank()
-        if not _canonical(_layer(self.low), _layer(self.high), low, high):
-            if not np.array_equal(np.isnan(self.low), np.isnan(self.high)):
-                raise ValueError("a cell has a bound on one side only")
-            raise ValueError("a cell's low and high are no interval of finite numbers")
-        _seal(self, low, high)
+        low, high = _intervals(self.low, self.high)
+        settled_low, settled_high = _intervals(self.settled_low, self.settled_high)
+        flags = self.surely_hit
+        if flags.shape != (TILE_SIDE, TILE_SIDE) or flags.dtype != np.bool_:
+            raise ValueError(f"flags are bool [{TILE_SIDE}, {TILE_SIDE}], not {flags.dtype} {list(flags.shape)}")
+        if flags is not NO_CELL:
+            if np.any(flags & np.isnan(low)):
+                raise ValueError("a cell is surely hit, but unseen")
+            flags = flags.copy()
+        if settled_low is not NOWHERE:
+            inside = (settled_low >= low) & (settled_high <= high) | np.isnan(settled_low)
+            if not inside.all():
+                raise ValueError("a cell's settled interval is not inside [low, high]")
+        _seal(self, low, high, flags, settled_low, settled_high)
 
     def __eq__(self, other: object) -> bool:
         return (
             isinstance(other, Tile)
             and _same_place(self, other)
-            and self.low.tobytes() == other.low.tobytes()
-            and self.high.tobytes() == other.high.tobytes()
+            and all(a is b or a.tobytes() == b.tobytes() for a, b in zip(self.layers, other.layers, strict=True))
         )
 
     def __hash__(self) -> int:
         return hash((self.submap, self.ix, self.iy))
 
     @property
+    def layers(self) -> tuple[Layer, Layer, Flags, Layer, Layer]:
+        """low, high, surely_hit, settled_low, settled_high."""
+        return self.low, self.high, self.surely_hit, self.settled_low, self.settled_high
+
+    @property
     def cells_seen(self) -> int:
         """How many cells hold an interval."""
         return _count_seen(self.low)
+
+    @property
+    def has_settled(self) -> bool:
+        """Is any cell settled? Never so where the map keeps no evidence."""
+        return self.settled_low is not NOWHERE
 
     @property
     def corner_m(self) -> tuple[float, float]:
@@ -72,24 +102,27 @@ class Tile:
 
 def unseen_tile(submap: int, ix: int, iy: int, resolution_m: float) -> Tile:
     """The tile that says nothing: neutral to `join`."""
-    nothing = np.full((TILE_SIDE, TILE_SIDE), _NAN)
-    return Tile(submap, ix, iy, resolution_m, nothing, nothing)
+    return Tile(submap, ix, iy, resolution_m, NOWHERE, NOWHERE)
 
 
 def compile_tiles() -> None:
     """Have the machine code made now (a second at first, then cached), so that no tile waits for it."""
-    nothing = unseen_tile(0, 0, 0, 1.0)
-    snapped_cells(snap_outward(join(nothing, changed(nothing, nothing))))
+    level = np.zeros((TILE_SIDE, TILE_SIDE), np.float32)
+    nothing, flat = unseen_tile(0, 0, 0, 1.0), Tile(0, 0, 0, 1.0, level, level, NO_CELL, level, level)
+    snap_outward(join(flat, changed(nothing, flat)))
     assert nothing.cells_seen == 0
 
 
 def join(a: Tile, b: Tile) -> Tile:
-    """Cell by cell the hull [min of lows, max of highs]; an unseen cell takes the other's. Exact."""
+    """Cell by cell the hull [min of lows, max of highs], and OR of flags; an unseen cell takes the other's. Exact."""
     if not _same_place(a, b):
         raise ValueError(f"can't join {_place(a)} with {_place(b)}")
-    low, high = _blank(), _blank()
-    _join(a.low, a.high, b.low, b.high, low, high)
-    return _like(a, low, high)
+    low, high = _pair(_join, a.low, a.high, b.low, b.high)
+    if not (a.has_settled and b.has_settled):
+        settled = (a if a.has_settled else b).layers[3:]
+    else:
+        settled = _pair(_join, a.settled_low, a.settled_high, b.settled_low, b.settled_high)
+    return _like(a, low, high, a.surely_hit | b.surely_hit, *settled)
 
 
 def changed(old: Tile | None, new: Tile) -> Tile:
@@ -98,29 +131,60 @@ def changed(old: Tile | None, new: Tile) -> Tile:
         return new
     if not _same_place(old, new):
         raise ValueError(f"can't compare {_place(old)} with {_place(new)}")
-    low, high = _blank(), _blank()
-    _changed(old.low, old.high, new.low, new.high, low, high)
-    return _like(new, low, high)
+    differs = old.surely_hit != new.surely_hit
+    _mark_changed(old.low, old.high, new.low, new.high, differs)
+    if new.has_settled:
+        _mark_changed(old.settled_low, old.settled_high, new.settled_low, new.settled_high, differs)
+    settled = (_only(differs, new.settled_low), _only(differs, new.settled_high))
+    if np.isnan(settled[0]).all():
+        settled = NOWHERE, NOWHERE
+    return _like(new, _only(differs, new.low), _only(differs, new.high), new.surely_hit & differs, *settled)
 
 
 def snap_outward(tile: Tile) -> Tile:
     """Each low down, each high up to a multiple of 2^-9 m. Outer, idempotent, exact in float32, commutes with join."""
-    low, high = _blank(), _blank()
-    _snap(tile.low, tile.high, low, high)
-    return _like(tile, low, high)
-
-
-def snapped_cells(tile: Tile) -> Layer:
-    """[64, 64, 2] the snapped tile's low and high, cell by cell: what stands on the wire."""
-    cells = np.empty((TILE_SIDE, TILE_SIDE, 2), np.float32)
-    _snap(tile.low, tile.high, cells[..., 0], cells[..., 1])
-    return cells
+    low, high = _pair(_snap, tile.low, tile.high)
+    settled = (tile.settled_low, tile.settled_high)
+    return _like(tile, low, high, tile.surely_hit, *(_pair(_snap, *settled) if tile.has_settled else settled))
 
 
 def content_crc(tile: Tile) -> int:
-    """CRC-32 of the snapped tile's low, then high, as little-endian float32: what the digest lists."""
+    """CRC-32 of the snapped tile's layers: what the digest lists.
+
+    low and high (and, where any cell is settled, settled_low and settled_high) as little-endian float32; surely_hit
+    as bytes 0 and 1, where any is set, last.
+    """
     snapped = snap_outward(tile)
-    return zlib.crc32(snapped.high.astype("<f4").tobytes(), zlib.crc32(snapped.low.astype("<f4").tobytes()))
+    elevations = (snapped.low, snapped.high, *((snapped.settled_low, snapped.settled_high) * tile.has_settled))
+    crc = 0
+    for layer in elevations:
+        crc = zlib.crc32(layer.astype("<f4", copy=False).tobytes(), crc)
+    return zlib.crc32(tile.surely_hit.tobytes(), crc) if tile.surely_hit.any() else crc
+
+
+def _intervals(low: Layer, high: Layer) -> tuple[Layer, Layer]:
+    """The layers made canonical; the shared NOWHERE where they say nothing at all (of the settled ones)."""
+    if low is NOWHERE and high is NOWHERE:
+        return NOWHERE, NOWHERE
+    canonical_low, canonical_high = _blank(), _blank()
+    if not _canonical(_layer(low), _layer(high), canonical_low, canonical_high):
+        if not np.array_equal(np.isnan(low), np.isnan(high)):
+            raise ValueError("a cell has a bound on one side only")
+        raise ValueError("a cell's low and high are no interval of finite numbers")
+    if np.isnan(canonical_low).all():
+        return NOWHERE, NOWHERE
+    return canonical_low, canonical_high
+
+
+def _pair(operation: Callable[..., object], *layers: Layer) -> tuple[Layer, Layer]:
+    """What a compiled operation writes into a new low and high."""
+    low, high = _blank(), _blank()
+    operation(*layers, low, high)
+    return low, high
+
+
+def _only(cells: Flags, layer: Layer) -> Layer:
+    return np.where(cells, layer, _NAN)
 
 
 def _blank() -> Layer:
@@ -136,19 +200,19 @@ def _layer(given: Layer) -> Layer:
     return layer
 
 
-def _like(tile: Tile, low: Layer, high: Layer) -> Tile:
+def _like(tile: Tile, *layers: NDArray[np.generic]) -> Tile:
     """A tile at the place of `tile`, of layers that were made canonical: not checked once more."""
     made = object.__new__(Tile)
     for name in ("submap", "ix", "iy", "resolution_m"):
         object.__setattr__(made, name, getattr(tile, name))
-    _seal(made, low, high)
+    _seal(made, *layers)
     return made
 
 
-def _seal(tile: Tile, low: Layer, high: Layer) -> None:
-    low.flags.writeable = high.flags.writeable = False
-    object.__setattr__(tile, "low", low)
-    object.__setattr__(tile, "high", high)
+def _seal(tile: Tile, *layers: NDArray[np.generic]) -> None:
+    for name, layer in zip(("low", "high", "surely_hit", "settled_low", "settled_high"), layers, strict=True):
+        layer.flags.writeable = False
+        object.__setattr__(tile, name, layer)
 
 
 @compiled
@@ -176,14 +240,12 @@ def _join(a_low: Layer, a_high: Layer, b_low: Layer, b_high: Layer, low: Layer, 
 
 
 @compiled
-def _changed(old_low: Layer, old_high: Layer, new_low: Layer, new_high: Layer, low: Layer, high: Layer) -> None:
+def _mark_changed(old_low: Layer, old_high: Layer, new_low: Layer, new_high: Layer, differs: Flags) -> None:
     for row in range(TILE_SIDE):
         for col in range(TILE_SIDE):
             a, b = new_low[row, col], new_high[row, col]
             # Cells only ever grow from unseen; what is NaN in both is the same.
-            same = (a == old_low[row, col] and b == old_high[row, col]) or np.isnan(a)
-            low[row, col] = _NAN if same else a
-            high[row, col] = _NAN if same else b
+            differs[row, col] |= (a != old_low[row, col] or b != old_high[row, col]) and not np.isnan(a)
 
 
 @compiled

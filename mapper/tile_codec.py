@@ -1,31 +1,39 @@
 """A tile on the wire: `foxglove.Grid` protobuf, compressed with zstd. docs/tile-format.md says it byte by byte.
 
 Encode and decode stand side by side. The decoder is strict: whatever is not exactly such a tile is a TileFormatError.
+A cell is a record of `_PLAIN`, or of `_SETTLED` where any cell of the tile is settled; `_BARE` is what robots sent
+before cells had flags.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from backports import zstd
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from google.protobuf.message import DecodeError
+from numpy.typing import NDArray
 
 from mapper.grid import TILE_CELLS, TILE_SIDE, tile_corner_m
-from mapper.tile import Tile, snapped_cells
+from mapper.tile import NO_CELL, NOWHERE, Flags, Layer, Tile, snap_outward
 
 ENCODING = "application/protobuf;foxglove.Grid+zstd"
 """Zenoh's encoding string of a tile."""
 
 _COMPRESSOR = zstd.ZstdCompressor(level=1)
 """Each call makes a frame of its own."""
-_LARGEST_PAYLOAD = 48 * 1024
-"""A tile of pure noise takes 33 KiB; links cut larger messages up and lose them."""
-_LARGEST_MESSAGE = 40 * 1024
+_LARGEST_PAYLOAD = 63 * 1024
+"""Larger messages are cut up on the way. A plain tile takes at most 37 KiB, whatever is in it; one with settled bounds
+at most 48 KiB where the elevations are noise over 60 m, and 61 KiB over 18 km."""
+_LARGEST_MESSAGE = 72 * 1024
 _WINDOW_LOG = 20
 """No payload can ask for more than 1 MiB of memory; level 1 asks for 512 KiB at most."""
-_CELL_BYTES = 8
-_FIELDS = (("elevation_min", 0), ("elevation_max", 4))
+_BARE = np.dtype([("elevation_min", "<f4"), ("elevation_max", "<f4")])
+_PLAIN = np.dtype([*_BARE.descr, ("surely_hit", "u1")])
+_SETTLED = np.dtype([*_BARE.descr, ("settled_min", "<f4"), ("settled_max", "<f4"), ("surely_hit", "u1")])
+_TYPES = {np.dtype("<f4"): PackedElementField.FLOAT32, np.dtype("u1"): PackedElementField.UINT8}
 _NS = 1_000_000_000
 
 
@@ -45,19 +53,24 @@ class ReceivedTile:
 
 def encode(tile: Tile, frame_id: str, stamp_ns: int) -> bytes:
     """The payload of a tile, or of a delta, snapped outward to 2^-9 m. stamp_ns: wall clock."""
+    snapped = snap_outward(tile)
+    cells = np.empty((TILE_SIDE, TILE_SIDE), _SETTLED if tile.has_settled else _PLAIN)
+    cells["elevation_min"], cells["elevation_max"], cells["surely_hit"] = snapped.low, snapped.high, tile.surely_hit
+    if tile.has_settled:
+        cells["settled_min"], cells["settled_max"] = snapped.settled_low, snapped.settled_high
     message = Grid(
         frame_id=frame_id,
         column_count=TILE_SIDE,
-        row_stride=TILE_SIDE * _CELL_BYTES,
-        cell_stride=_CELL_BYTES,
-        data=snapped_cells(tile).astype("<f4", copy=False).tobytes(),
+        row_stride=TILE_SIDE * cells.itemsize,
+        cell_stride=cells.itemsize,
+        data=cells.tobytes(),
     )
     message.timestamp.seconds, message.timestamp.nanos = divmod(stamp_ns, _NS)
     message.pose.position.x, message.pose.position.y = tile.corner_m
     message.pose.orientation.w = 1.0
     message.cell_size.x = message.cell_size.y = tile.resolution_m
-    for name, offset in _FIELDS:
-        message.fields.add(name=name, offset=offset, type=PackedElementField.FLOAT32)
+    for name, offset, kind in _fields(cells.dtype):
+        message.fields.add(name=name, offset=offset, type=kind)
     return _COMPRESSOR.compress(message.SerializeToString(deterministic=True), zstd.ZstdCompressor.FLUSH_FRAME)
 
 
@@ -70,12 +83,31 @@ def decode(payload: bytes, submap: int) -> ReceivedTile:
         raise TileFormatError(f"no protobuf message: {error}") from error
     resolution = message.cell_size.x
     ix, iy = _check_geometry(message)
-    cells = np.frombuffer(message.data, "<f4").astype(np.float32).reshape(TILE_SIDE, TILE_SIDE, 2)
+    cells = np.frombuffer(message.data, _layout(message)).reshape(TILE_SIDE, TILE_SIDE)
     try:
-        tile = Tile(submap, ix, iy, resolution, cells[..., 0], cells[..., 1])
+        tile = Tile(submap, ix, iy, resolution, *_layers(cells))
     except ValueError as error:
         raise TileFormatError(str(error)) from error
     return ReceivedTile(tile, message.frame_id, message.timestamp.seconds * _NS + message.timestamp.nanos)
+
+
+def _fields(record: np.dtype[np.void]) -> list[tuple[str, int, int]]:
+    """Name, offset and Foxglove's type of each field of a cell."""
+    fields: Mapping[str, tuple[Any, ...]] = record.fields or {}
+    return [(name, offset, _TYPES[kind]) for name, (kind, offset, *_) in fields.items()]
+
+
+def _layers(cells: NDArray[np.void]) -> tuple[Layer, Layer, Flags, Layer, Layer]:
+    """The layers of received cells; a field that the robot does not send says nothing."""
+    names = cells.dtype.names or ()
+    flags = cells["surely_hit"] if "surely_hit" in names else NO_CELL
+    if np.any(flags > 1):
+        raise ValueError("surely_hit is neither 0 nor 1")
+    low, high, settled_low, settled_high = (
+        cells[name].astype(np.float32) if name in names else NOWHERE
+        for name in ("elevation_min", "elevation_max", "settled_min", "settled_max")
+    )
+    return low, high, flags.astype(np.bool_), settled_low, settled_high
 
 
 def _decompress(payload: bytes) -> bytes:
@@ -97,13 +129,11 @@ def _decompress(payload: bytes) -> bytes:
 
 def _check_geometry(message: Grid) -> tuple[int, int]:
     """The tile's indices, if the message is laid out as a tile."""
+    stride = _layout(message).itemsize
     layout = (message.column_count, message.row_stride, message.cell_stride, len(message.data))
-    expected = (TILE_SIDE, TILE_SIDE * _CELL_BYTES, _CELL_BYTES, TILE_CELLS * _CELL_BYTES)
+    expected = (TILE_SIDE, TILE_SIDE * stride, stride, TILE_CELLS * stride)
     if layout != expected:
         raise TileFormatError(f"column_count, row_stride, cell_stride, bytes of data are {layout}, not {expected}")
-    fields = tuple((field.name, field.offset) for field in message.fields)
-    if fields != _FIELDS or any(field.type != PackedElementField.FLOAT32 for field in message.fields):
-        raise TileFormatError(f"fields are {fields}, not {_FIELDS}, each FLOAT32")
     side, position, turn = message.cell_size.x, message.pose.position, message.pose.orientation
     if not (0.0 < side < 1e6 and message.cell_size.y == side):
         raise TileFormatError(f"cell_size is {side} x {message.cell_size.y} m")
@@ -115,3 +145,12 @@ def _check_geometry(message: Grid) -> tuple[int, int]:
     if tile_corner_m(*indices, side) != (position.x, position.y):
         raise TileFormatError(f"({position.x}, {position.y}) m is no corner of a tile of {side} m cells")
     return indices
+
+
+def _layout(message: Grid) -> np.dtype[np.void]:
+    """The record of one cell."""
+    fields = [(field.name, field.offset, field.type) for field in message.fields]
+    for record in (_PLAIN, _SETTLED, _BARE):
+        if fields == _fields(record):
+            return record
+    raise TileFormatError(f"fields are {fields}, not {_fields(_PLAIN)} nor {_fields(_SETTLED)} (type 7 is FLOAT32)")

@@ -75,6 +75,10 @@ def draw(path: Path, saved: SavedMap, drive_xy: Array, profile: Profile, labels:
         interpolation="nearest",
     )
     above.imshow(_hillshade(middle, cell), origin="lower", extent=extent, cmap="gray", alpha=0.35, vmin=0, vmax=1)
+    if saved.surely_hit is not None:
+        sure = np.where(saved.surely_hit[window], 1.0, np.nan)
+        above.imshow(sure, origin="lower", extent=extent, cmap="cool", vmin=0, vmax=1, interpolation="nearest")
+        above.plot([], [], "s", color="magenta", label="surely hit")
     figure.colorbar(image, ax=above, label="elevation, middle of the bounds [m]", shrink=0.85)
     above.set_title("The terrain from above")
 

@@ -37,6 +37,8 @@ class Evaluation:
     """True poses outside their published set."""
     cell_violations: int
     """True hits outside their cell's interval, or in no cell at all."""
+    surely_hit_cells: int
+    """Cells in which a beam certainly ended; the others were possibly touched."""
     mean_width_m: float
     """Mean of upper bound minus lower bound."""
     remote_equal: bool
@@ -120,6 +122,7 @@ def evaluate(
         tiles=pipeline.map.tile_count,
         pose_violations=pose_violations,
         cell_violations=cell_violations,
+        surely_hit_cells=0 if saved.surely_hit is None else int(saved.surely_hit.sum()),
         mean_width_m=float(np.nanmean(saved.high.astype(float) - saved.low)),
         remote_equal=bool(copy["in_sync"]) and published_equal(pipeline.map, load_map(output / "remote.npz")),
         latency_ms=copy["latency_ms"],
@@ -133,10 +136,10 @@ def evaluate(
 def published_equal(robot: ElevationMap, remote: SavedMap) -> bool:
     """Is the remote map the robot's map, snapped outward to the published step, bit for bit?"""
     published = assemble(map(snap_outward, robot.tiles()), robot.config.resolution_m, remote.frame)
-    return (
-        (published.resolution_m, published.origin_m) == (remote.resolution_m, remote.origin_m)
-        and published.low.tobytes() == remote.low.tobytes()
-        and published.high.tobytes() == remote.high.tobytes()
+    layers = ("low", "high", "surely_hit", "settled_low", "settled_high")
+    pairs = [(getattr(published, name), getattr(remote, name)) for name in layers]
+    return (published.resolution_m, published.origin_m) == (remote.resolution_m, remote.origin_m) and all(
+        a is b if a is None or b is None else a.tobytes() == b.tobytes() for a, b in pairs
     )
 
 
@@ -147,6 +150,7 @@ def results_table(result: Evaluation, picture: Path) -> Table:
     rows = [
         ("scans / beams in the map", f"{result.scans} / {result.beams}"),
         ("cells / tiles", f"{result.cells} / {result.tiles}"),
+        ("surely hit cells", str(result.surely_hit_cells)),
         ("mean interval width", f"{100 * result.mean_width_m:.1f} cm"),
         ("true poses outside their set", f"{result.pose_violations} of {result.poses_checked} sets"),
         ("true hits outside their cell", f"{result.cell_violations} of {result.hits_checked} hits"),

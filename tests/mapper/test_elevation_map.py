@@ -121,6 +121,27 @@ def test_the_kernel_touches_exactly_the_cells_of_the_boxes() -> None:
     assert terrain.mean_width_m == pytest.approx(np.mean(widths), abs=1e-6)
 
 
+def test_cells_are_surely_hit_where_a_footprint_fits_in_them() -> None:
+    """At 40 cm cells, exactly the cells that some beam's whole footprint lies in; with corner errors none is wrong."""
+    terrain = ElevationMap(replace(CONFIG, resolution_m=0.4), LASER)
+    expected = set()
+    for seed in range(5):
+        sweep = Sweep(seed)
+        sweep.into(terrain)
+        boxes = project(sweep.scan, LASER, sweep.low, sweep.high, sweep.pose_index)
+        for low, high in zip(boxes.low, boxes.high, strict=True):
+            first, last = np.floor(low[:2] / 0.4), np.floor(high[:2] / 0.4)
+            if np.array_equal(first, last):
+                expected.add((int(first[0]), int(first[1])))
+    found = {
+        (tile.ix * 64 + int(col), tile.iy * 64 + int(row))
+        for tile in terrain.tiles()
+        for row, col in np.argwhere(tile.surely_hit)
+    }
+    assert found == expected
+    assert 100 < len(found) < terrain.cells_seen / 2
+
+
 def test_order_repetition_and_splitting_change_no_bit() -> None:
     """Scans in any order, twice, or beam by beam in pieces: the same map, bit for bit."""
     sweeps = [Sweep(seed) for seed in range(6)]
@@ -279,7 +300,8 @@ def test_arrays_that_others_hand_over_need_no_special_layout() -> None:
 
 
 def test_the_pool_takes_eight_bytes_a_cell_on_cache_lines() -> None:
-    """A tile is 32 KiB, and the pool begins on a 64-byte boundary."""
+    """A tile is 32 KiB, and the pool begins on a 64-byte boundary; the flags take one bit a cell."""
     terrain = ElevationMap(CONFIG, LASER)
     assert terrain._pool.ctypes.data % 64 == 0
     assert terrain._pool.strides[0] == 64 * 64 * 8
+    assert terrain._sure.strides[0] == 64 * 64 // 8

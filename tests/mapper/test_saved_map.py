@@ -58,13 +58,37 @@ def test_a_saved_map_comes_back_and_equal_maps_are_equal_files(tmp_path: Path) -
 
 
 def test_numpy_alone_reads_it(tmp_path: Path) -> None:
-    """The six entries, with the types that the format promises."""
+    """The entries, with the types that the format promises; the settled ones where any cell is settled."""
     save(a_map(), tmp_path / "a.npz")
     with np.load(tmp_path / "a.npz") as file:
-        assert sorted(file) == ["anchor", "frame", "high", "low", "origin_m", "resolution_m"]
+        assert sorted(file) == ["anchor", "frame", "high", "low", "origin_m", "resolution_m", "surely_hit"]
+        assert file["surely_hit"].dtype == np.bool_
         assert file["low"].dtype == file["high"].dtype == np.float32
         assert file["origin_m"].shape == (2,)
         assert float(file["resolution_m"]) == 0.1
+
+
+def test_flags_and_settled_bounds_are_saved_and_older_files_still_read(tmp_path: Path) -> None:
+    """Each layer comes back where it was; twins are joined; a file without the later entries is a map without them."""
+    low, high = np.zeros((64, 64), np.float32), np.ones((64, 64), np.float32)
+    hit, settled = np.zeros((64, 64), np.bool_), np.full((64, 64), np.nan, np.float32)
+    hit[3, 4], settled[5, 6] = True, 0.5
+    twin = np.roll(hit, 1)
+    tiles = [Tile(0, 2, -1, 0.1, low, high, hit, settled, settled), Tile(0, 2, -1, 0.1, low, high, twin)]
+    save(assemble([*tiles, a_tile(1, -1)], 0.1, "map"), tmp_path / "a.npz")
+    back = load(tmp_path / "a.npz")
+    assert back.surely_hit is not None
+    assert back.settled_low is not None
+    assert back.settled_high is not None
+    assert np.array_equal(np.argwhere(back.surely_hit), [[3, 64 + 4], [3, 64 + 5]])
+    assert np.array_equal(np.argwhere(~np.isnan(back.settled_low)), [[5, 64 + 6]])
+    assert back.settled_low[5, 64 + 6] == back.settled_high[5, 64 + 6] == 0.5
+    save(SavedMap(low, high, 0.1, (0.0, 0.0), "map", ""), tmp_path / "old.npz")
+    old = load(tmp_path / "old.npz")
+    assert (old.surely_hit, old.settled_low, old.settled_high) == (None, None, None)
+    np.savez(tmp_path / "odd.npz", **{**np.load(tmp_path / "a.npz"), "surely_hit": np.zeros((1, 1), np.bool_)})
+    with pytest.raises(MapFileError, match="surely_hit"):
+        load(tmp_path / "odd.npz")
 
 
 def test_an_empty_map_is_a_map(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from mapper.tile import SNAP_M, Tile, changed, compile_tiles, content_crc, join, snap_outward, unseen_tile
+from mapper.tile import NO_CELL, SNAP_M, Tile, changed, compile_tiles, content_crc, join, snap_outward, unseen_tile
 
 CELLS = arrays.arrays(
     np.float32,
@@ -24,15 +24,24 @@ CELLS = arrays.arrays(
 
 @st.composite
 def some_tiles(draw: Callable[..., np.ndarray]) -> Tile:
-    """Eight cells of any content, repeated over the tile."""
+    """Eight cells of any content, repeated over the tile; some surely hit, some settled, wherever they are seen."""
     a, b = draw(CELLS)
     unseen = np.isnan(a) | np.isnan(b)
     low, high = np.where(unseen, np.nan, np.minimum(a, b)), np.where(unseen, np.nan, np.maximum(a, b))
-    return a_tile(np.tile(low, (64, 8)), np.tile(high, (64, 8)))
+    flags, inside = draw(arrays.arrays(np.bool_, (2, 8)))
+    c, d = (np.clip(row, low, high) for row in draw(CELLS))
+    c, d = np.where(inside, np.minimum(c, d), np.nan), np.where(inside, np.maximum(c, d), np.nan)
+    settled = (np.tile(layer, (64, 8)) for layer in (c, d)) if inside.any() else ()
+    return a_tile(np.tile(low, (64, 8)), np.tile(high, (64, 8)), np.tile(flags & ~unseen, (64, 8)), *settled)
 
 
-def a_tile(low: np.ndarray, high: np.ndarray) -> Tile:
-    return Tile(0, -3, 5, 0.05, low.astype(np.float32), high.astype(np.float32))
+def a_tile(low: np.ndarray, high: np.ndarray, flags: np.ndarray = NO_CELL, *settled: np.ndarray) -> Tile:
+    low, high, *settled_layers = (layer.astype(np.float32) for layer in (low, high, *settled))
+    return Tile(0, -3, 5, 0.05, low, high, flags, *settled_layers)
+
+
+def bits(layer: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(layer).view(np.uint32 if layer.dtype == np.float32 else np.uint8)
 
 
 EMPTY = unseen_tile(0, -3, 5, 0.05)
@@ -57,6 +66,10 @@ def test_join_contains_both(a: Tile, b: Tile) -> None:
         seen = ~np.isnan(part.low)
         assert np.all(both.low[seen] <= part.low[seen])
         assert np.all(both.high[seen] >= part.high[seen])
+        assert np.all(both.surely_hit >= part.surely_hit)
+        settled = ~np.isnan(part.settled_low)
+        assert np.all(both.settled_low[settled] <= part.settled_low[settled])
+        assert np.all(both.settled_high[settled] >= part.settled_high[settled])
     assert both.cells_seen == np.count_nonzero(~np.isnan(a.low) | ~np.isnan(b.low))
 
 
@@ -69,9 +82,7 @@ def test_a_delta_joined_to_the_old_tile_gives_the_new_one(old: Tile, more: Tile)
     assert changed(new, new) == EMPTY
     assert changed(None, new) == new
     held = ~np.isnan(delta.low)
-    differs = (old.low.view(np.uint32) != new.low.view(np.uint32)) | (
-        old.high.view(np.uint32) != new.high.view(np.uint32)
-    )
+    differs = np.any([bits(a) != bits(b) for a, b in zip(old.layers, new.layers, strict=True)], axis=0)
     assert np.array_equal(held, differs)
 
 
@@ -91,9 +102,14 @@ def test_snapping_is_outward_exact_and_idempotent_and_commutes_with_join(a: Tile
 
 @given(some_tiles())
 def test_the_digest_number_is_the_crc_of_the_snapped_bytes(tile: Tile) -> None:
-    """Low then high, little-endian, one kind of NaN; the same before and after snapping."""
+    """Low, high, settled bounds if any, flags if any; little-endian, one kind of NaN; the same once snapped."""
     snapped = snap_outward(tile)
-    assert content_crc(tile) == content_crc(snapped) == zlib.crc32(snapped.low.tobytes() + snapped.high.tobytes())
+    content = snapped.low.tobytes() + snapped.high.tobytes()
+    if not np.isnan(snapped.settled_low).all():
+        content += snapped.settled_low.tobytes() + snapped.settled_high.tobytes()
+    if snapped.surely_hit.any():
+        content += snapped.surely_hit.tobytes()
+    assert content_crc(tile) == content_crc(snapped) == zlib.crc32(content)
 
 
 def test_the_digest_number_of_known_tiles() -> None:
@@ -137,6 +153,20 @@ def test_a_tile_that_holds_no_intervals_is_refused(low: float, high: float, word
     layer = np.zeros((64, 64))
     with pytest.raises(ValueError, match=words):
         a_tile(np.where(np.eye(64) > 0, low, layer), np.where(np.eye(64) > 0, high, layer))
+
+
+def test_flags_and_settled_bounds_without_ground_are_refused() -> None:
+    """A flag on an unseen cell, settled bounds outside the cell's own, and layers of another kind."""
+    level, nothing = np.zeros((64, 64), np.float32), np.full((64, 64), np.nan, np.float32)
+    everywhere = np.ones((64, 64), np.bool_)
+    with pytest.raises(ValueError, match="surely hit, but unseen"):
+        a_tile(nothing, nothing, everywhere)
+    with pytest.raises(ValueError, match="not inside"):
+        a_tile(level, level, everywhere, level, level + 1)
+    with pytest.raises(ValueError, match="not inside"):
+        a_tile(nothing, nothing, NO_CELL, level, level)
+    with pytest.raises(ValueError, match=r"bool \[64, 64\]"):
+        a_tile(level, level, level)
 
 
 def test_only_tiles_of_one_place_are_joined_or_compared() -> None:

@@ -25,7 +25,16 @@ def a_tile(ix: int = -3, iy: int = 5, resolution: float = 0.05) -> Tile:
     high = low + random.uniform(0.05, 0.1, (64, 64)).astype(np.float32)
     unseen = x + y < 66
     low[unseen], high[unseen] = np.nan, np.nan
-    return Tile(4, ix, iy, resolution, low, high)
+    return Tile(4, ix, iy, resolution, low, high, ~unseen & (x % 3 == 0))
+
+
+def settled(tile: Tile) -> Tile:
+    """The tile of a map that keeps evidence: half of its cells are settled, somewhat inside their bounds."""
+    random = np.random.default_rng(2)
+    inset = ((tile.high - tile.low) * random.uniform(0, 0.5, (64, 64))).astype(np.float32)
+    inset[random.random((64, 64)) < 0.5] = np.nan
+    layers = tile.low + inset, np.maximum(tile.high - inset, tile.low + inset)
+    return Tile(tile.submap, tile.ix, tile.iy, tile.resolution_m, tile.low, tile.high, tile.surely_hit, *layers)
 
 
 def repacked(change: Callable[[Grid], object]) -> bytes:
@@ -45,12 +54,36 @@ def test_a_tile_comes_back_as_it_was_snapped(index: int, resolution: float) -> N
     assert (back.frame_id, back.stamp_ns) == ("map/4", STAMP)
 
 
+def test_settled_bounds_come_back_too() -> None:
+    """Every layer of a tile with settled cells, bit for bit as snapped; its delta where they alone differ as well."""
+    plain, tile = a_tile(), settled(a_tile())
+    back = decode(encode(tile, "map", STAMP), 4).tile
+    assert back == snap_outward(tile)
+    assert back.has_settled
+    delta = changed(snap_outward(plain), snap_outward(tile))
+    assert delta.cells_seen == np.count_nonzero(~np.isnan(tile.settled_low))
+    assert decode(encode(delta, "map", STAMP), 4).tile == delta
+    assert len(encode(tile, "map", STAMP)) < 24_000
+
+
+def test_a_tile_from_before_cells_had_flags_is_still_read() -> None:
+    """Eight bytes a cell, two fields: the same elevations, nothing surely hit."""
+    tile = snap_outward(a_tile())
+    old = Grid()
+    old.ParseFromString(zstd.decompress(encode(tile, "map", STAMP)))
+    del old.fields[2:]
+    old.cell_stride, old.row_stride = 8, 512
+    old.data = np.stack((tile.low, tile.high), axis=-1).astype("<f4").tobytes()
+    back = decode(zstd.compress(old.SerializeToString()), 4).tile
+    assert back == Tile(4, -3, 5, 0.05, tile.low, tile.high)
+
+
 def test_deltas_and_unseen_tiles_are_small() -> None:
     """A delta is the same message; a change of 5 % of the cells takes under a kilobyte, a tile well below 33 KB."""
     tile = a_tile()
     high = tile.high.copy()
     high.ravel()[::20] += np.float32(0.01)
-    delta = changed(snap_outward(tile), snap_outward(Tile(4, -3, 5, 0.05, tile.low, high)))
+    delta = changed(snap_outward(tile), snap_outward(Tile(4, -3, 5, 0.05, tile.low, high, tile.surely_hit)))
     assert decode(encode(delta, "map", STAMP), 4).tile == delta
     assert len(encode(delta, "map", STAMP)) < 1000
     assert len(encode(tile, "map", STAMP)) < 12_000
@@ -58,13 +91,20 @@ def test_deltas_and_unseen_tiles_are_small() -> None:
 
 
 def test_pure_noise_stays_below_what_a_slow_link_passes() -> None:
-    """The largest payload, every cell random, is smaller than 48 KiB and decodes."""
-    random = np.random.default_rng(3)
-    low = random.uniform(-9000, 9000, (64, 64)).astype(np.float32)
-    tile = Tile(0, 0, 0, 0.05, low, low + np.float32(20.0))
+    """Every cell random over kilometres: below 37 KiB, and it decodes; with settled bounds below what is ever sent."""
+    tile = noise(9000.0)
     payload = encode(tile, "map", STAMP)
-    assert len(payload) < 48 * 1024
+    assert len(payload) < 37 * 1024
     assert decode(payload, 0).tile == snap_outward(tile)
+    assert len(encode(settled(noise(30.0)), "map", STAMP)) < 48 * 1024
+    assert len(encode(settled(noise(9000.0)), "map", STAMP)) < 63 * 1024
+
+
+def noise(height_m: float) -> Tile:
+    random = np.random.default_rng(3)
+    low = random.uniform(-height_m, height_m, (64, 64)).astype(np.float32)
+    high = low + random.uniform(0, height_m / 10, (64, 64)).astype(np.float32)
+    return Tile(0, 0, 0, 0.05, low, high, random.random((64, 64)) < 0.5)
 
 
 def test_the_message_is_what_the_format_page_says() -> None:
@@ -77,16 +117,18 @@ def test_the_message_is_what_the_format_page_says() -> None:
     assert (message.pose.position.x, message.pose.position.y) == (-3 * 64 * 0.05, 5 * 64 * 0.05)
     assert message.pose.orientation.w == 1.0
     assert (message.cell_size.x, message.cell_size.y) == (0.05, 0.05)
-    assert (message.column_count, message.row_stride, message.cell_stride) == (64, 512, 8)
+    assert (message.column_count, message.row_stride, message.cell_stride) == (64, 576, 9)
     assert [(field.name, field.offset, field.type) for field in message.fields] == [
         ("elevation_min", 0, 7),
         ("elevation_max", 4, 7),
+        ("surely_hit", 8, 1),
     ]
     snapped = snap_outward(tile)
     row, column = 60, 40
-    assert struct.unpack_from("<ff", message.data, row * 512 + column * 8) == (
+    assert struct.unpack_from("<ffB", message.data, row * 576 + column * 9) == (
         snapped.low[row, column],
         snapped.high[row, column],
+        column % 3 == 0,
     )
     assert struct.unpack_from("<I", message.data, 0) == (0x7FC00000,)
 
@@ -124,7 +166,7 @@ def test_bombs_and_trailing_bytes_are_refused_within_bounds() -> None:
     with pytest.raises(TileFormatError, match="too much memory"):
         decode(zstd.compress(bytes(30_000_000)), 0)
     with pytest.raises(TileFormatError, match="at most"):
-        decode(bytes(50_000), 0)
+        decode(bytes(70_000), 0)
     with pytest.raises(TileFormatError, match="after the zstd frame"):
         decode(encode(a_tile(), "map", STAMP) + b"x", 0)
 
@@ -132,7 +174,7 @@ def test_bombs_and_trailing_bytes_are_refused_within_bounds() -> None:
 def poke(value: float, lane: int) -> Callable[[Grid], object]:
     def change(message: Grid) -> None:
         data = bytearray(message.data)
-        struct.pack_into("<f", data, 63 * 512 + 63 * 8 + 4 * lane, value)
+        struct.pack_into("<f" if lane < 2 else "<B", data, 63 * 576 + 63 * 9 + 4 * lane, value if lane < 2 else 2)
         message.data = bytes(data)
 
     return change
@@ -160,6 +202,7 @@ def poke(value: float, lane: int) -> Callable[[Grid], object]:
         (poke(np.inf, 1), "no interval"),
         (poke(99.0, 0), "no interval"),
         (poke(np.nan, 0), "one side"),
+        (poke(1.0, 2), "surely_hit"),
     ],
 )
 def test_wrong_geometry_is_refused_and_named(change: Callable[[Grid], object], words: str) -> None:
