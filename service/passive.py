@@ -55,8 +55,8 @@ class LmsFile:
         return [(0, scan) for scan in self._stream.receive_data(data)]
 
     def finish(self) -> list[Timed]:
-        """Nothing: a telegram tells its length."""
-        return []
+        """Scans that waited for bytes that never came."""
+        return [(0, scan) for scan in self._stream.finish()]
 
 
 class EncodersFile:

@@ -34,7 +34,7 @@ def rehearse(config: Config) -> None:
     pipeline.map.take_dirty()
     assert pipeline.map.cells_seen
     assert pipeline.map.mean_width_m > 0.0
-    lms_crc(np.zeros(4, np.uint8))
+    lms_crc(np.zeros(4, np.uint8), 0, 4)
 
 
 def _samples(at_ms: int, driven_ms: int) -> list[tuple[str, Sample]]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from drivers.config import LaserConfig, latency_ns
 from drivers.samples import Scan
-from drivers.sick_lms.framing import Frame, FrameReader
+from drivers.sick_lms.framing import SILENCE_WITHIN_FRAME_MS, Frame, FrameReader
 from drivers.sick_lms.measurements import (
     CM,
     DISTANCE_BITS,
@@ -87,6 +87,8 @@ class SickLmsProtocol:
         self._trouble = ""
         self._state = State.TUNING
         self._deadline_ns = 0
+        self._release_ns = 0  # when frames that the reader holds back are due
+        self._released: list[Scan] = []
         self._tries = 0
         self._acknowledged = False
         self._heard = False  # an intact telegram or an ACK, since the request was sent first
@@ -100,7 +102,7 @@ class SickLmsProtocol:
     @property
     def deadline_ns(self) -> int:
         """When `advance` wants to be called next."""
-        return self._deadline_ns
+        return min(self._deadline_ns, self._release_ns) if self._reader.holds_frames else self._deadline_ns
 
     @property
     def state(self) -> str:
@@ -119,6 +121,7 @@ class SickLmsProtocol:
     def connection_made(self, now_ns: int) -> None:
         """The port was opened: find the scanner anew, from the wanted rate on."""
         self._outbox.clear()
+        self._released.clear()
         self._set_baud(self._goal.baud)
         self._state = State.TUNING
         self._deadline_ns = now_ns
@@ -132,13 +135,21 @@ class SickLmsProtocol:
     def receive_data(self, data: bytes, stamp_ns: int) -> list[Scan]:
         """Scans that `data` completes."""
         frames = self._reader.receive_data(data, stamp_ns)
+        self._release_ns = stamp_ns + SILENCE_WITHIN_FRAME_MS * MS + self._latency_ns[1]
         self._take_acknowledgement(stamp_ns)
-        scans = [scan for frame in frames if (scan := self._take_frame(frame, stamp_ns)) is not None]
+        scans = self._released + [scan for frame in frames if (scan := self._take_frame(frame, stamp_ns)) is not None]
+        self._released = []
         self.advance(stamp_ns)  # garbage that never ends must not keep time from passing
         return scans
 
     def advance(self, now_ns: int) -> None:
-        """Repeat a request, or give up waiting, once the deadline has passed."""
+        """Repeat a request, or give up waiting, once the deadline has passed.
+
+        A scan that was held back until now comes with the next `receive_data`.
+        """
+        if self._reader.holds_frames and now_ns >= self._release_ns:
+            frames = self._reader.release()
+            self._released += [scan for frame in frames if (scan := self._take_frame(frame, now_ns)) is not None]
         if now_ns < self._deadline_ns:
             return
         step = STEPS.get(self._state)

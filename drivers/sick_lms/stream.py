@@ -54,7 +54,13 @@ class LmsStreamDecoder:
 
     def receive_data(self, data: bytes, stamp_ns: int = 0) -> list[Scan]:
         """Scans that `data` completes; telegrams of other kinds are taken note of, or counted as unsupported."""
-        frames = self._reader.receive_data(data, stamp_ns)
+        return self._scans(self._reader.receive_data(data, stamp_ns))
+
+    def finish(self) -> list[Scan]:
+        """No more bytes come: what still waited for the end of a frame that seemed to begin before."""
+        return self._scans(self._reader.release())
+
+    def _scans(self, frames: list[Frame]) -> list[Scan]:
         return [scan for frame in frames if (scan := self._take(frame)) is not None]
 
     def _take(self, frame: Frame) -> Scan | None:

@@ -95,7 +95,7 @@ def _frame(address: int, payload: bytes) -> bytes:
 
 def checksum(body: bytes) -> int:
     """The checksum that follows `body`."""
-    return lms_crc(np.frombuffer(body, np.uint8))
+    return lms_crc(np.frombuffer(body, np.uint8), 0, len(body))
 
 
 _LENGTHS = {
@@ -137,6 +137,11 @@ def header_fits(command: int, length: int, word: int) -> bool:
         values = word & 0x3FF
         return 1 <= values <= _MOST_VALUES and length - 2 * values in (4, 6)  # 6: with scan and telegram index
     return length in _LENGTHS.get(command, ()) or length in _UNASKED_LENGTHS.get(command, ())
+
+
+def payload_fits(payload: bytes) -> bool:
+    """Can this be a whole payload, status byte and all? What `header_fits` could not see yet."""
+    return True
 
 
 def status_fits(status: int) -> bool:

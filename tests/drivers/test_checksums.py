@@ -50,16 +50,30 @@ def test_lms_crc_equals_the_manuals_example(body: str, crc: str) -> None:
     """Every telegram of the manual that is not misprinted has this checksum."""
     data = np.frombuffer(bytes.fromhex(body), np.uint8)
 
-    assert lms_crc(data).to_bytes(2, "little") == bytes.fromhex(crc)
+    assert lms_crc(data, 0, data.size).to_bytes(2, "little") == bytes.fromhex(crc)
 
 
 def test_lms_crc_sees_every_single_bit_error() -> None:
     """One wrong bit anywhere changes the checksum."""
     rng = np.random.default_rng(1)
     data = rng.integers(0, 256, 370, dtype=np.uint8)
-    right = lms_crc(data)
+    right = lms_crc(data, 0, data.size)
 
     for bit in range(8 * data.size):
         wrong = data.copy()
         wrong[bit // 8] ^= 1 << bit % 8
-        assert lms_crc(wrong) != right
+        assert lms_crc(wrong, 0, wrong.size) != right
+
+
+def test_lms_crc_equals_the_manuals_definition_bit_by_bit() -> None:
+    """Any length, at any place of a buffer: as the register of the manual shifts, one byte after the other."""
+    data = np.random.default_rng(2).integers(0, 256, 900, dtype=np.uint8)
+    for start, end in [(0, n) for n in range(1, 40)] + [(7, 821), (1, 373), (88, 900), (5, 5)]:
+        register = previous = 0
+        for byte in data[start:end].tolist():
+            register <<= 1
+            if register & 0x10000:
+                register = (register & 0xFFFF) ^ 0x8005
+            register ^= previous << 8 | byte
+            previous = byte
+        assert lms_crc(data, start, end) == register

@@ -11,7 +11,16 @@ from hypothesis import strategies as st
 
 from drivers.sick_lms.framing import Frame, FrameReader
 from drivers.sick_lms.measurements import MM, RangeTelegram
-from drivers.sick_lms.telegrams import ACK, NAK, Configuration, DeviceStatus, DeviceType, Variant, answer
+from drivers.sick_lms.telegrams import (
+    ACK,
+    NAK,
+    Configuration,
+    DeviceStatus,
+    DeviceType,
+    Variant,
+    answer,
+    checksum,
+)
 
 RECORD = bytes.fromhex("0000 7000 00 00 01 0000 02 02") + bytes(21) + b"\x02\x00"
 DIRT = bytes((ACK, NAK, 0x02, 0x02, 0x80, 0x02, 0x80, 0xFF, 0x00, 0x11))
@@ -46,10 +55,11 @@ def payloads(frames: Sequence[Frame]) -> list[bytes]:
 
 
 def read(chunks: Sequence[bytes]) -> tuple[list[bytes], Counter[str]]:
-    """Payloads found in `chunks`, and what was counted."""
+    """Payloads found in `chunks` and then silence, and what was counted."""
     counts: Counter[str] = Counter()
     reader = FrameReader(counts)
-    return [payload for chunk in chunks for payload in payloads(reader.receive_data(chunk, 0))], counts
+    found = [payload for chunk in chunks for payload in payloads(reader.receive_data(chunk, 0))]
+    return found + payloads(reader.release()), counts
 
 
 @pytest.mark.parametrize("payload", PAYLOADS.values(), ids=PAYLOADS.keys())
@@ -92,14 +102,59 @@ def test_a_cut_frame_takes_no_other_with_it(cut: int) -> None:
     assert counts["skipped_bytes"] == cut
 
 
-def test_a_false_header_keeps_no_complete_frame_waiting() -> None:
-    """While a believable header still waits for its 802 bytes, a complete frame behind it comes out at once."""
-    false_header = answer(scan_payload(2, 401))[:9]
-    counts: Counter[str] = Counter()
-    reader = FrameReader(counts)
+def test_a_false_header_holds_a_complete_frame_only_until_the_line_is_silent() -> None:
+    """A believable header that waits for 802 bytes gives up the frame inside it as soon as no more bytes come."""
+    reader = FrameReader(Counter())
 
-    assert reader.receive_data(false_header, 0) == []
-    assert payloads(reader.receive_data(answer(b"\xa0\x00\x10"), 0)) == [b"\xa0\x00\x10"]
+    assert reader.receive_data(answer(scan_payload(2, 401))[:9], 0) == []
+    assert reader.receive_data(answer(PAYLOADS["mode"]), 0) == []
+    assert reader.holds_frames
+    assert payloads(reader.release()) == [PAYLOADS["mode"]]
+    assert not reader.holds_frames
+
+
+def test_a_false_header_over_several_frames_loses_none() -> None:
+    """All frames inside the length that a false header claims come out once that length has come."""
+    sent = [PAYLOADS[name] for name in ("mode", "variant", "status", "type", "configuration", "errors", "scan")]
+    reader = FrameReader(Counter())
+
+    found = reader.receive_data(answer(scan_payload(2, 401))[:7] + b"".join(map(answer, sent)), 0)
+    assert not found
+    found = reader.receive_data(answer(PAYLOADS["status"]) * 2, 0)
+
+    assert payloads(found) == [*sent, PAYLOADS["status"], PAYLOADS["status"]]
+
+
+def test_a_cut_frame_that_passes_the_checksum_by_chance_costs_no_intact_one() -> None:
+    """Head of one scan, whole next scan, and the checksum of the mixture happens to be right: the whole one is real."""
+    middle = bytearray(scan_payload(2))
+    middle[265:268] = 0x10, 0x34, 0x12  # where the cut scan has its status byte and checksum
+    head = bytearray(answer(scan_payload(0))[:100])
+    head[11], head[19] = 201, 176  # searched for
+    mixture = bytes(head) + answer(bytes(middle))[:272]
+    assert checksum(mixture[:-2]) == int.from_bytes(mixture[-2:], "little")
+    data = bytes(head) + answer(bytes(middle)) + answer(scan_payload(3))
+
+    for size in (1, 50, 372, 2000):
+        found, counts = read([data[at : at + size] for at in range(0, len(data), size)])
+        assert found == [bytes(middle), scan_payload(3)]
+        assert counts["overlapping_frames"] == 1
+
+
+@pytest.mark.parametrize("name", ["mode", "refused", "power on", "configuration", "status"])
+@pytest.mark.parametrize("followed", [False, True])
+def test_a_scan_whose_values_spell_a_whole_telegram_is_one_scan(name: str, followed: bool) -> None:
+    """A telegram inside the data of another is data, also if bytes come one by one and nothing comes behind."""
+    inner = answer(PAYLOADS[name])
+    payload = bytearray(scan_payload(4))
+    payload[21 : 21 + len(inner)] = inner
+    outer = bytes(payload)
+    data = answer(outer) + (answer(scan_payload(5)) if followed else b"")
+
+    for size in (1, 64, 2000):
+        found, counts = read([data[at : at + size] for at in range(0, len(data), size)])
+        assert found == [outer] + [scan_payload(5)] * followed
+        assert counts["overlapping_frames"] == 1
 
 
 def test_headers_inside_values_start_no_frames() -> None:
@@ -190,5 +245,5 @@ def test_garbage_costs_bounded_memory_and_never_raises() -> None:
             assert len(reader._buffer) < 814
             assert len(reader._reads) < 814
 
-    assert payloads(reader.receive_data(answer(PAYLOADS["mode"]), 0)) == [PAYLOADS["mode"]]
+    assert payloads(reader.receive_data(answer(PAYLOADS["mode"]), 0) + reader.release()) == [PAYLOADS["mode"]]
     assert counts["skipped_bytes"] == len(noise) + len(headers)
