@@ -7,6 +7,7 @@ A draw depends on (seed, channel, time) alone, so a run can be repeated and erro
     constant    at the bound for the whole drive, one sign a channel
     drift       slowly from bound to bound and back
     switching   at the bound, the sign changing now and then (a telegraph)
+    mixed       each channel follows one of the laws above
 """
 
 import zlib
@@ -17,13 +18,14 @@ from numpy.typing import NDArray
 
 from drivers.compiled import compiled
 
-LAWS = ("uniform", "corners", "constant", "drift", "switching")
+LAWS = ("uniform", "corners", "constant", "drift", "switching", "mixed")
 
 DRIFT_PERIOD_NS = 16_000_000_000
 SWITCH_SLOT_NS = 400_000_000
 SMOOTH_SLOT_NS = 1_000_000_000
 
-_UNIFORM, _CORNERS, _CONSTANT, _DRIFT, _SWITCHING = range(5)
+_UNIFORM, _CORNERS, _CONSTANT, _DRIFT, _SWITCHING, _MIXED = range(6)
+_WHICH_LAW = 1 << 62
 
 
 @compiled
@@ -37,8 +39,15 @@ def _random(key: int, index: int) -> float:
 
 
 @compiled
+def followed(law: int, key: int) -> int:
+    """The law that a channel follows: under `mixed` one that its key names."""
+    return int(_random(key, _WHICH_LAW) * _MIXED) if law == _MIXED else law
+
+
+@compiled
 def draw(law: int, key: int, t_ns: int) -> float:
     """Error at time t_ns as a share of the bound, in [-1, 1]."""
+    law = followed(law, key)
     if law == _UNIFORM:
         return 2.0 * _random(key, t_ns) - 1.0
     if law == _CORNERS:
@@ -54,13 +63,13 @@ def draw(law: int, key: int, t_ns: int) -> float:
 @compiled
 def level(law: int, key: int) -> float:
     """A share of the bound that holds for the whole drive."""
-    return draw(_UNIFORM if law == _UNIFORM else _CONSTANT, key, 0)
+    return draw(_UNIFORM if followed(law, key) == _UNIFORM else _CONSTANT, key, 0)
 
 
 @compiled
 def wander(law: int, key: int, t_ns: int, bound: float, rate_bound: float) -> float:
     """A bias at time t_ns; see Channel.wander."""
-    if law != _DRIFT:
+    if followed(law, key) != _DRIFT:
         return bound * level(law, key)
     swing = min(bound, rate_bound * DRIFT_PERIOD_NS * 1e-9 / 4.0)
     return level(law, key) * ((bound - swing) + swing * draw(law, key, t_ns))
@@ -96,7 +105,7 @@ class Channel:
 
     def smooth(self, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
         """Shares without jumps, for what is a motion and not a reading: draws a second apart, blended."""
-        if self.law in (_CONSTANT, _DRIFT):
+        if followed(self.law, self.key) in (_CONSTANT, _DRIFT):
             return self.over(t_ns)
         slot = t_ns // SMOOTH_SLOT_NS
         part = (t_ns - slot * SMOOTH_SLOT_NS) / SMOOTH_SLOT_NS

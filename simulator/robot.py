@@ -35,7 +35,6 @@ SLIP_SLOT_NS = 20_000_000
 """A track's slip ratio keeps its value this long."""
 REVERSAL_S = 0.2
 """It also keeps its value for so long before and after a track may turn round: see `_with_slip`."""
-MANOEUVRE_RAMP_S = 0.8
 INSIDE = 1.0 - 1e-9
 """Ratios stay inside their bounds by this factor: room for rounding."""
 
@@ -130,8 +129,8 @@ class BodySurface:
 def body_surface(model: RobotModel, terrain: Terrain) -> BodySurface:
     """The terrain's top, low-passed over the tracks' footprint."""
     ny, nx = terrain.heights.shape
-    reach = 14.0  # metres around the start: all courses stay within
     course = terrain.course
+    reach = course.reach_m
     low_x = max(terrain.x0_m, course.x_m - reach)
     low_y = max(terrain.y0_m, course.y_m - reach)
     high_x = min(terrain.x0_m + (nx - 1) * terrain.cell_m, course.x_m + reach)
@@ -155,7 +154,7 @@ def motion_profile(t_s: Array, duration_s: float, course: Course) -> tuple[Array
         return course.cruise_mps * _pulse(t_s, first, last, RAMP_S), np.zeros_like(t_s)
     v, spin = np.zeros_like(t_s), np.zeros_like(t_s)
     for begin, move in _schedule(course, first, last):
-        pulse = _pulse(t_s, begin, min(begin + move.duration_s, last), MANOEUVRE_RAMP_S)
+        pulse = _pulse(t_s, begin, min(begin + move.duration_s, last), course.manoeuvre_ramp_s)
         v += course.cruise_mps * move.speed * pulse
         spin += move.spin_rps * pulse
     return v, spin

@@ -51,6 +51,10 @@ class Course:
     """Speed aimed at; less where the robot's limits ask for less."""
     manoeuvres: tuple[Manoeuvre, ...] = ()
     """Repeated without end instead of one steady drive, if there are any."""
+    manoeuvre_ramp_s: float = 0.8
+    """How long a manoeuvre takes to reach its speed, and to stop again."""
+    reach_m: float = 14.0
+    """The drive stays within this distance of the start, along x and along y."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

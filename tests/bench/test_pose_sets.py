@@ -1,0 +1,43 @@
+"""The race of pose filters: what its table says of containment can be trusted."""
+
+import numpy as np
+import pytest
+
+from bench.pose_scenario import GPS_CLASSES
+from bench.pose_sets import Score, on_earth, race
+from estimator.bounded_pose import Anchor
+
+
+@pytest.mark.parametrize("law", ["constant", "mixed"])
+def test_our_boxes_hold_the_truth_in_both_frames_where_the_kalman_filter_loses_it(law: str) -> None:
+    """With errors at their bounds three sigma lose the truth; the sets keep it, in the map and on Earth."""
+    ours, theirs = Score(), Score()
+    race("default", GPS_CLASSES[0], law, 1, 20.0, ours)
+    race("EKF 3 sigma", GPS_CLASSES[0], law, 1, 20.0, theirs)
+    assert ours.violations == {"map": 0, "Earth": 0}
+    assert min(ours.checks.values()) > 90
+    assert ours.missing == ours.voided == 0
+    assert theirs.violations["Earth"] > 0.5 * theirs.checks["Earth"]
+
+
+def test_a_box_beside_the_truth_is_counted() -> None:
+    """The check itself can fail: each axis alone, and yaw only modulo whole turns."""
+    truth = np.arange(6.0)
+    for axis in range(6):
+        score, low, high = Score(), truth - 0.1, truth + 0.1
+        low[axis] = truth[axis] + 1e-9
+        score.check("map", low, high, truth)
+        assert score.violations["map"] == 1
+    score = Score()
+    turn = np.array([0, 0, 0, 0, 0, 2 * np.pi])
+    score.check("map", truth - 0.1 + turn, truth + 0.1 + turn, truth)
+    assert score.violations["map"] == 0
+
+
+def test_anchor_and_pose_compose_to_the_place_on_earth() -> None:
+    """Exact boxes give the exact pose: shifted, and turned by the anchor's yaw."""
+    anchor = Anchor(48.0, 11.0, 500.0, np.array([1.0, 2.0, 3.0, np.pi / 2]), np.array([1.0, 2.0, 3.0, np.pi / 2]))
+    pose = np.array([10.0, 0.5, 0.25, 0.1, 0.2, 0.3])
+    low, high = on_earth(anchor, pose, pose, (48.0, 11.0, 500.0))
+    np.testing.assert_allclose(low, [0.5, 12.0, 3.25, 0.1, 0.2, 0.3 + np.pi / 2], atol=1e-6)
+    np.testing.assert_allclose(high, low, atol=1e-6)
