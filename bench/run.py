@@ -21,6 +21,11 @@ def main() -> None:
 PROOF_TEXT = """## Soundness
 
 `make prove` holds every pose set and every hit of many drives against the truth: [PROVED.md](PROVED.md).
+
+## Pose sets
+
+How wide they are, beside a Kalman filter's and the reference's figures (`python -m bench.pose_sets --page`):
+[POSE_SETS.md](POSE_SETS.md).
 """
 LINE_TEXT = """## The whole line
 
