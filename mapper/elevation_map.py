@@ -5,6 +5,7 @@ long as the pose boxes and the laser's declared bounds hold. Cells only ever gro
 """
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +16,7 @@ from drivers.config import LaserConfig
 from drivers.samples import Scan
 from mapper import kernel
 from mapper.config import MapConfig
-from mapper.grid import TILE_SIDE, tile_indices
+from mapper.grid import TILE_SIDE, tile_indices, tile_key
 from mapper.projection import B_SIZE, P_SIZE, W_ROWS, Floats, beam_table, laser_geometry
 from mapper.tile import Tile
 
@@ -125,6 +126,28 @@ class ElevationMap:
     def tiles(self) -> tuple[Tile, ...]:
         """Copies of all tiles, in the order in which they were first touched."""
         return tuple(self._tile(index) for index in range(self.tile_count))
+
+    def places(self, changed: bool | None = None) -> NDArray[np.int64]:
+        """[n, 2] ix, iy of the tiles; `changed` since the last take_dirty or not: only those."""
+        keys = self._keys[: self.tile_count]
+        if changed is not None:
+            keys = keys[self._dirty[: self.tile_count] == changed]
+        pairs = np.stack((keys >> np.uint64(32), keys & np.uint64(0xFFFFFFFF)), axis=-1)
+        return pairs.astype(np.uint32).view(np.int32).astype(np.int64)
+
+    def evict(self, places: Iterable[tuple[int, int]]) -> int:
+        """Forget tiles (ix, iy): their room is used again. How many there were."""
+        before, leaving = self.tile_count, np.array([int(tile_key(*place)) for place in places], np.uint64)
+        stays = ~np.isin(self._keys[:before], leaving)
+        kept = int(np.count_nonzero(stays))
+        # The last tiles move into the holes.
+        holes, movers = np.flatnonzero(~stays[:kept]), kept + np.flatnonzero(stays[kept:])
+        for rows in (self._keys, self._dirty, self._pool):
+            rows[holes] = rows[movers]
+        self._count[0] = kept
+        self._table.fill(kernel.FREE)
+        kernel.rebuild_table(kept, self._table, self._keys)
+        return before - kept
 
     @property
     def tile_count(self) -> int:

@@ -121,7 +121,7 @@ class DigestPart:
 
 
 _ADAPTERS: dict[type, TypeAdapter[Any]] = {
-    kind: TypeAdapter(kind) for kind in (PoseMessage, AnchorMessage, TileNote, DigestPart)
+    kind: TypeAdapter(kind) for kind in (GuaranteeMessage, PoseMessage, AnchorMessage, TileNote, DigestPart)
 }
 
 
