@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import date
 
 from drivers.errors import ConfigurationError
 from drivers.gps_nmea.protocol import GpsProtocol
@@ -12,6 +13,9 @@ from drivers.sick_lms.protocol import SickLmsProtocol
 from drivers.track_encoders.protocol import TrackEncoderProtocol
 from drivers.transports import Transport, open_serial, open_socketcan
 from service.config import LoadedConfig
+
+NOW_OR_LATER = date(2024, 1, 1)
+"""A receiver that tells an earlier day lives in another GPS week epoch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +58,9 @@ def wiring(loaded: LoadedConfig) -> tuple[Device, ...]:
         _serial(loaded, "laser", laser.port, laser.baud, lambda: SickLmsProtocol(laser), stale_after_s=0.5),
     ]
     if gps is not None:
-        table.append(_serial(loaded, "gps", gps.port, gps.baud, lambda: GpsProtocol(gps), stale_after_s=2.0))
+        table.append(
+            _serial(loaded, "gps", gps.port, gps.baud, lambda: GpsProtocol(gps, NOW_OR_LATER), stale_after_s=2.0)
+        )
     return tuple(table)
 
 

@@ -16,6 +16,7 @@ from drivers.samples import Sample
 from drivers.sick_lms.protocol import SickLmsProtocol
 from drivers.track_encoders.protocol import TrackEncoderProtocol
 from drivers.transports import Transport, open_serial, open_socketcan
+from service.devices import NOW_OR_LATER
 from service.json_lines import counts_line, print_samples
 from service.lifecycle import stop_on_signals
 from service.passive import encoders_config, gps_config, imu_config, laser_config, read_dbc
@@ -155,7 +156,8 @@ def gps(
     seconds
         End by itself after so long.
     """
-    return _listen(lambda: open_serial(port, baud), [GpsProtocol(gps_config(gst_factor, range_error_m, baud))], seconds)
+    protocol = GpsProtocol(gps_config(gst_factor, range_error_m, baud), NOW_OR_LATER)
+    return _listen(lambda: open_serial(port, baud), [protocol], seconds)
 
 
 def _listen(

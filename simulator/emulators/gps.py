@@ -4,14 +4,14 @@ from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 
 from drivers.gps_nmea.codec import (
-    Calendar,
     ErrorEstimate,
+    Minimum,
     Position,
-    TimeOfDay,
     serialise_gga,
     serialise_gst,
     serialise_rmc,
 )
+from drivers.gps_nmea.fields import Angle, TimeOfDay
 
 
 class GpsEmulator:
@@ -30,11 +30,13 @@ class GpsEmulator:
         separation_m: float = 40.0,
         utc_start: datetime = datetime(2024, 5, 1, 12, tzinfo=UTC),
         baud: int = 115200,
+        velocity: Callable[[int], tuple[float, float]] | None = None,
     ) -> None:
         """`position(t_ns)` is the antenna's latitude and longitude in degrees and its height above the ellipsoid.
 
         The first epoch is `start_ns`, when UTC is `utc_start` (so periods of whole hundredths of a second); its
-        sentences are on the wire `latency_ns` later. `sigma_m`: what GST says of east, north and up.
+        sentences are on the wire `latency_ns` later. `sigma_m`: what GST says of east, north and up. `velocity(t_ns)`:
+        east and north in m/s, for RMC; None leaves speed and course empty.
         """
         self._position = position
         self._start_ns = start_ns
@@ -48,6 +50,7 @@ class GpsEmulator:
         self._separation_m = separation_m
         self._utc_start = utc_start
         self._baud = baud
+        self._velocity = velocity
 
     @property
     def baud(self) -> int | None:
@@ -69,15 +72,23 @@ class GpsEmulator:
         utc = self._utc_start + timedelta(microseconds=(t_ns - self._start_ns) // 1000)
         time = TimeOfDay(utc.hour, utc.minute, utc.second, utc.microsecond * 1000)
         if self.quality == 0:
-            at = Position(time, None, None, 0, None, None, None)
-            return serialise_gga(at, satellites=0) + serialise_rmc(Calendar(time, utc.date()), at)
+            nowhere = Position(time, None, None, 0, satellites=0)
+            return serialise_gga(nowhere) + serialise_rmc(Minimum(nowhere, utc.date()))
         lat_deg, lon_deg, height_m = self._position(t_ns)
         at = Position(
-            time, lat_deg, lon_deg, self.quality, self._hdop, height_m - self._separation_m, self._separation_m
+            time,
+            Angle(lat_deg),
+            Angle(lon_deg),
+            self.quality,
+            self._hdop,
+            height_m - self._separation_m,
+            self._separation_m,
+            satellites=12,
         )
+        velocity_mps = self._velocity(t_ns) if self._velocity is not None else None
         east_m, north_m, up_m = self._sigma_m
         return (
             serialise_gga(at)
-            + serialise_rmc(Calendar(time, utc.date()), at)
+            + serialise_rmc(Minimum(at, utc.date(), velocity_mps))
             + serialise_gst(ErrorEstimate(time, east_m, north_m, up_m))
         )
