@@ -142,7 +142,7 @@ class ElevationMap:
         kept = int(np.count_nonzero(stays))
         # The last tiles move into the holes.
         holes, movers = np.flatnonzero(~stays[:kept]), kept + np.flatnonzero(stays[kept:])
-        for rows in (self._keys, self._dirty, self._pool):
+        for rows in (self._keys, self._dirty, self._pool, self._sure):
             rows[holes] = rows[movers]
         self._count[0] = kept
         self._table.fill(kernel.FREE)
