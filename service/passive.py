@@ -19,6 +19,7 @@ from drivers.gps_nmea.protocol import GpsProtocol
 from drivers.imu.protocol import ImuProtocol
 from drivers.samples import Sample
 from drivers.sick_lms.stream import LmsStreamDecoder
+from drivers.sick_lms.telegrams import Variant
 from drivers.track_encoders.codec import parse_candump_line
 from drivers.track_encoders.protocol import TrackEncoderProtocol
 
@@ -46,8 +47,8 @@ class PassiveDecoder(Protocol):
 class LmsFile:
     """Scans; a file doesn't tell when they were shot."""
 
-    def __init__(self, measuring_mode: int | None = None) -> None:
-        self._stream = LmsStreamDecoder(measuring_mode)
+    def __init__(self, measuring_mode: int | None = None, variant: Variant | None = None) -> None:
+        self._stream = LmsStreamDecoder(measuring_mode, variant)
         self.counts = self._stream.counts
 
     def receive_data(self, data: bytes) -> list[Timed]:

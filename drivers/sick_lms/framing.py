@@ -11,7 +11,7 @@ a whole frame is an everyday fault, while data that spell a header and the right
 
 Waiting for an unfinished candidate must end where its bytes never come: who reads calls `release` once the line has
 been silent for `SILENCE_WITHIN_FRAME_MS`. Each position is looked at once, each candidate checked once, and none is
-longer than 814 bytes: time is linear in the bytes, memory bounded.
+longer than 1646 bytes: time is linear in the bytes, memory bounded.
 """
 
 from bisect import bisect_right, insort
@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.checksums import lms_crc
+from drivers.sick_lms.plausibility import UNASKED, header_fits, payload_fits, status_fits
 from drivers.sick_lms.telegrams import (
     ACK,
     FROM_SCANNER,
@@ -36,10 +37,6 @@ from drivers.sick_lms.telegrams import (
     RANGES,
     SOURCE,
     STX,
-    UNASKED,
-    header_fits,
-    payload_fits,
-    status_fits,
 )
 
 SILENCE_WITHIN_FRAME_MS = 50

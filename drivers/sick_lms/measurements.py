@@ -1,4 +1,4 @@
-"""Measured values of a SICK LMS2xx: telegram B0h both ways, distance codes, and where and when each beam was shot.
+"""What the measured values of a SICK LMS2xx say: distance codes, and where and when each beam was shot.
 
 LMS2XX sections 6 and 7.
 """
@@ -11,18 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.samples import Scan, Stamp
-from drivers.sick_lms.telegrams import RANGES, STATUS_OK, Variant
+from drivers.sick_lms.range_telegrams import RangeTelegram
+from drivers.sick_lms.telegrams import FAST, Variant
 
 TURN_NS = 13_320_000
 """One mirror turn."""
 NS_PER_DEGREE = TURN_NS // 360
 
-CM, MM = 0, 1
-STEPS_PER_METRE = {CM: 100.0, MM: 1000.0}
+CM, MM, TEN_CM = 0, 1, 2
+STEPS_PER_METRE = {CM: 100.0, MM: 1000.0, TEN_CM: 10.0}
 
 DISTANCE_BITS = {0x00: 13, 0x01: 13, 0x02: 13, 0x03: 14, 0x04: 14, 0x05: 15, 0x06: 15, 0x0F: 15}
-"""Measuring mode (block D) to the width of a distance; the bits above it are flags."""
+"""Measuring mode (block D) to the width of a distance; the bits above it are flags, but for 0Fh."""
 WIDEST_MODE = 0x06
+IMMEDIATE_MODE = 0x0F
+"""No flags: codes above the special ones are no distances either."""
 
 LARGEST_SPECIAL_CODES = 8
 """Codes from top - 8 up to the top (all distance bits set) are no distances; top - 8 means beyond the maximum."""
@@ -34,6 +37,16 @@ class ValueFormat:
 
     bits: int
     unit: int
+    immediate: bool = False
+    """No flags stand above the distance."""
+
+    @classmethod
+    def of(cls, measuring_mode: int, unit: int) -> "ValueFormat | None":
+        """The format of a measuring mode and a unit, if both are known and the mode measures distances."""
+        bits = DISTANCE_BITS.get(measuring_mode)
+        if bits is None or unit not in STEPS_PER_METRE:
+            return None
+        return cls(bits, unit, measuring_mode == IMMEDIATE_MODE)
 
     @property
     def top(self) -> int:
@@ -46,9 +59,10 @@ class ValueFormat:
         return (self.top - LARGEST_SPECIAL_CODES - 1) / STEPS_PER_METRE[self.unit]
 
     def decode(self, codes: NDArray[np.uint16]) -> NDArray[np.float64]:
-        """Ranges [n] in metres of `codes` [n]: +inf beyond the maximum, NaN for every other special code."""
-        distances = codes & np.uint16(self.top)
-        ranges = distances.astype(np.float64) / STEPS_PER_METRE[self.unit]
+        """Ranges [n] in metres of `codes` [n]: +inf beyond the maximum, NaN for every other code without a distance."""
+        distances = codes if self.immediate else codes & np.uint16(self.top)
+        ranges = distances.astype(np.float64)
+        ranges /= STEPS_PER_METRE[self.unit]
         beyond = self.top - LARGEST_SPECIAL_CODES
         ranges[distances >= beyond] = np.nan
         ranges[distances == beyond] = np.inf
@@ -60,58 +74,6 @@ class ValueFormat:
         steps = np.rint(ranges_m * STEPS_PER_METRE[self.unit])
         limited = np.clip(np.where(np.isnan(steps), 0.0, steps), 0.0, beyond)
         return np.where(np.isnan(steps), self.top, limited).astype(np.uint16)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RangeTelegram:
-    """The measured values of a whole or a partial scan: B0h."""
-
-    codes: NDArray[np.uint16]
-    """[n] values as they came, flags included."""
-    unit: int
-    """0 cm, 1 mm; 2 was 10 cm on old types."""
-    partial: bool = False
-    """One mirror turn of an interlaced scan, always over 180 degrees."""
-    quarter: int = 0
-    """First angle of a partial scan, in quarters of a degree."""
-    indices: tuple[int, int] | None = None
-    """Scan index (counts mirror turns) and telegram index, where the configuration appends them."""
-    status: int = STATUS_OK
-
-    @classmethod
-    def parse(cls, payload: bytes) -> "RangeTelegram":
-        """From a B0h payload whose length fits its count word."""
-        word = int.from_bytes(payload[1:3], "little")
-        count = word & 0x3FF
-        end = 3 + 2 * count
-        return cls(
-            codes=np.frombuffer(payload, "<u2", count, 3),
-            unit=word >> 14,
-            partial=bool(word & 0x2000),
-            quarter=word >> 11 & 0x03,
-            indices=(payload[end], payload[end + 1]) if len(payload) == end + 3 else None,
-            status=payload[-1],
-        )
-
-    @property
-    def count_word(self) -> int:
-        """Number of values, partial scan and unit in one word."""
-        return count_word(len(self.codes), self.unit, self.partial, self.quarter)
-
-    def serialise(self) -> bytes:
-        """A B0h payload."""
-        return (
-            bytes((RANGES,))
-            + self.count_word.to_bytes(2, "little")
-            + self.codes.astype("<u2").tobytes()
-            + bytes(self.indices or ())
-            + bytes((self.status,))
-        )
-
-
-def count_word(count: int, unit: int, partial: bool = False, quarter: int = 0) -> int:
-    """The word before the values."""
-    return count | quarter << 11 | partial << 13 | unit << 14
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,6 +102,13 @@ class Sweep:
         """From the start of the first turn to the end of the last."""
         return self.turns * TURN_NS
 
+    def part(self, first: int, count: int, every: int = 1) -> "Sweep":
+        """`count` beams from number `first` (from 1) on, every `every`-th of them."""
+        offset = self.beam_offset_ns[first - 1 :: every][:count]
+        assert len(offset) == count
+        begin = self.angle_min_rad + (first - 1) * self.angle_increment_rad
+        return Sweep(count, self.turns, begin, every * self.angle_increment_rad, offset)
+
 
 def _sweep(count: int, turns: int, first_cdeg: int, step_cdeg: int) -> Sweep:
     """`first_cdeg`: first beam in 1/100 degree of the scanner's own frame, where 90 degrees is straight ahead."""
@@ -151,9 +120,10 @@ def _sweep(count: int, turns: int, first_cdeg: int, step_cdeg: int) -> Sweep:
 
 @cache
 def full_sweep(variant: Variant) -> Sweep:
-    """A whole scan of `variant`."""
+    """A whole scan of `variant`; the LMS Fast shoots half degrees in one turn."""
     step = variant.resolution_cdeg
-    return _sweep(variant.angle_deg * 100 // step + 1, 100 // step, (180 - variant.angle_deg) * 50, step)
+    turns = 1 if variant == FAST else 100 // step
+    return _sweep(variant.angle_deg * 100 // step + 1, turns, (180 - variant.angle_deg) * 50, step)
 
 
 @cache
@@ -162,17 +132,14 @@ def partial_sweep(quarter: int) -> Sweep:
     return _sweep(180 if quarter else 181, 1, 25 * quarter, 100)
 
 
-def scan_of(
-    telegram: RangeTelegram, sweep: Sweep, value_format: ValueFormat, stamp_ns: int, latency_ns: tuple[int, int]
-) -> Scan:
-    """The scan of a telegram whose first byte was read at `stamp_ns`, between [least, most] after it was sent."""
-    least, most = latency_ns
-    start = stamp_ns - sweep.duration_ns
+def scan_of(telegram: RangeTelegram, sweep: Sweep, ranges_m: NDArray[np.float64], sent: Stamp) -> Scan:
+    """The scan of a telegram whose first byte was sent within `sent`, at the end of the last mirror turn."""
+    duration = sweep.duration_ns
     return Scan(
-        stamp=Stamp(start - most, start - least),
+        stamp=sent.shifted(-telegram.averaged * duration, -duration),
         beam_offset_ns=sweep.beam_offset_ns,
         angle_min_rad=sweep.angle_min_rad,
         angle_increment_rad=sweep.angle_increment_rad,
-        ranges_m=value_format.decode(telegram.codes),
+        ranges_m=ranges_m,
         status=telegram.status,
     )

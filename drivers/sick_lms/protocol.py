@@ -4,20 +4,19 @@ from collections import Counter
 from dataclasses import dataclass
 
 from drivers.config import LaserConfig, latency_ns
-from drivers.samples import Scan
+from drivers.samples import Scan, Stamp
 from drivers.sick_lms.framing import SILENCE_WITHIN_FRAME_MS, Frame, FrameReader
 from drivers.sick_lms.measurements import (
     CM,
     DISTANCE_BITS,
     MM,
     TURN_NS,
-    RangeTelegram,
     ValueFormat,
-    count_word,
     full_sweep,
     partial_sweep,
     scan_of,
 )
+from drivers.sick_lms.range_telegrams import RangeTelegram, count_word
 from drivers.sick_lms.startup import MOST_WRITES, STEPS, TRANSITIONS, WAITS_MS, Found, Goal, Outcome, State
 from drivers.sick_lms.telegrams import (
     NAK,
@@ -209,8 +208,9 @@ class SickLmsProtocol:
         telegram = RangeTelegram.parse(frame.payload)
         sweep = partial_sweep(telegram.quarter) if self._goal.interlaced else full_sweep(self._goal.variant)
         least, most = self._latency_ns
-        latency = least, most + self._line_ns(1)  # a byte is read when its last bit has come
-        return scan_of(telegram, sweep, self._format, frame.stamp_ns, latency)
+        # A byte is read when its last bit has come.
+        sent = Stamp(frame.stamp_ns - most - self._line_ns(1), frame.stamp_ns - least)
+        return scan_of(telegram, sweep, self._format.decode(telegram.codes), sent)
 
     def _judge(self, payload: bytes) -> Outcome:
         """What the awaited answer means."""

@@ -20,8 +20,10 @@ FROM_SCANNER = 0x80
 OVERHEAD = 6
 """Bytes of a frame beside its payload: STX, address, LEN, checksum."""
 LONGEST_PAYLOAD = 808
+LONGEST_REFLECTIVITY = 1640
+"""F5h alone has two words a value: 401 of them, in five sub-ranges, and indices."""
 HEADER = 7
-"""Bytes of a frame that `header_fits` looks at; no frame is shorter than 8."""
+"""Bytes that tell a frame's beginning (plausibility.py); no frame is shorter than 8."""
 
 STATUS_OK = 0x10
 SOURCE = 0x18
@@ -29,7 +31,7 @@ SOURCE = 0x18
 
 
 class Command(IntEnum):
-    """Requests; the answer to each is its number + 80h."""
+    """Requests (section 4); the answer to each is its number + 80h."""
 
     RESET = 0x10
     MODE = 0x20
@@ -37,9 +39,16 @@ class Command(IntEnum):
     STATUS = 0x31
     ERRORS = 0x32
     COUNTERS = 0x35
+    MEAN = 0x36
+    SUB_RANGE = 0x37
     TYPE = 0x3A
     VARIANT = 0x3B
+    SUB_RANGE_FIELDS = 0x3E
+    SUB_RANGE_MEAN = 0x3F
+    FAST_REFLECTIVITY = 0x44
+    POWER_ON_RATE = 0x66
     READ_CONFIGURATION = 0x74
+    REFLECTIVITY = 0x75
     WRITE_CONFIGURATION = 0x77
 
     @property
@@ -60,11 +69,18 @@ class Mode(IntEnum):
     INSTALLATION = 0x00
     STREAM = 0x24
     STOP = 0x25
+    STREAM_MEAN = 0x26
+    STREAM_SUB_RANGE = 0x27
+    STREAM_SUB_RANGE_MEAN = 0x28
+    STREAM_SUB_RANGE_FIELDS = 0x29
     STREAM_PARTIAL = 0x2A
+    STREAM_REFLECTIVITY = 0x2B
+    TEST_PASSWORD = 0x30
     BAUD_38400 = 0x40
     BAUD_19200 = 0x41
     BAUD_9600 = 0x42
     BAUD_500000 = 0x48
+    STREAM_FAST_REFLECTIVITY = 0x50
 
 
 BAUD_MODES = {
@@ -98,57 +114,6 @@ def checksum(body: bytes) -> int:
     return lms_crc(np.frombuffer(body, np.uint8), 0, len(body))
 
 
-_LENGTHS = {
-    POWER_ON: range(8, 65),
-    RESETTING: range(2, 3),
-    REFUSED: range(2, 3),
-    Command.MODE.answer: range(3, 4),
-    Command.STATUS.answer: range(132, 161),
-    Command.TYPE.answer: range(8, 65),
-    Command.VARIANT.answer: range(7, 8),
-    Command.READ_CONFIGURATION.answer: range(32, 37, 2),  # 30, 32 or 34 bytes of record
-    Command.WRITE_CONFIGURATION.answer: range(33, 38, 2),
-}
-"""Payload lengths of each answer but B0h, whose length follows from its count word."""
-
-_UNASKED_LENGTHS = {
-    Command.COUNTERS.answer: range(6, 7),
-    Command.ERRORS.answer: range(2, LONGEST_PAYLOAD + 1, 2),
-    0xB6: range(7, LONGEST_PAYLOAD + 1),  # mean values
-    0xB7: range(8, LONGEST_PAYLOAD + 1),  # sub-range
-    0xBE: range(8, LONGEST_PAYLOAD + 1),  # sub-range with fields
-    0xBF: range(9, LONGEST_PAYLOAD + 1),  # mean of a sub-range
-    0xC4: range(8, LONGEST_PAYLOAD + 1),  # ranges and reflectivity
-    0xE6: range(3, 4),  # power-on rate
-    0xF5: range(8, LONGEST_PAYLOAD + 1),  # ranges and reflectivity of sub-ranges
-    0xFB: range(3, LONGEST_PAYLOAD + 1),  # configuration, part 2
-    0xFC: range(3, LONGEST_PAYLOAD + 1),
-}
-"""Answers to requests that this driver never makes: recognised in recordings, and counted."""
-
-UNASKED = frozenset(_UNASKED_LENGTHS)
-
-_MOST_VALUES = 401
-
-
-def header_fits(command: int, length: int, word: int) -> bool:
-    """Can a frame begin with this command, LEN and the two bytes behind the command?"""
-    if command == RANGES:
-        values = word & 0x3FF
-        return 1 <= values <= _MOST_VALUES and length - 2 * values in (4, 6)  # 6: with scan and telegram index
-    return length in _LENGTHS.get(command, ()) or length in _UNASKED_LENGTHS.get(command, ())
-
-
-def payload_fits(payload: bytes) -> bool:
-    """Can this be a whole payload, status byte and all? What `header_fits` could not see yet."""
-    return True
-
-
-def status_fits(status: int) -> bool:
-    """Can this be a status byte? Severity 0..4; source old scanner 00b, scanner 10b, special device 11b."""
-    return status & 0x07 <= 4 and status & SOURCE != 0x08
-
-
 @dataclass(frozen=True, slots=True)
 class DeviceType:
     """Type string of 90h and BAh, as `LMS221;302063;V02.30 `."""
@@ -168,6 +133,23 @@ class DeviceType:
     def model(self) -> str:
         """Type and number without the firmware."""
         return ";".join(self.text.split(";")[:2]).strip()
+
+    @property
+    def is_fast(self) -> bool:
+        """Is it an LMS Fast (S14): 90 degrees at 0.5 degree, always?"""
+        return "S14" in self.model
+
+    @property
+    def counts_hours(self) -> bool:
+        """Does it know 35h, its operating hours?"""
+        return self.model.startswith(("LMS211", "LMS221", "LMS291"))
+
+    @property
+    def power_on_variant(self) -> "Variant":
+        """What it scans after it was switched on (section 5.2)."""
+        if self.is_fast:
+            return FAST
+        return Variant(100 if self.model.startswith("LMS211") else 180, 50)
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,6 +267,12 @@ class Variant:
             int.from_bytes(payload[at + 2 : at + 4], "little"),
         )
 
+    @classmethod
+    def named(cls, name: str) -> "Variant":
+        """From degrees as `180/0.5`."""
+        angle, resolution = name.split("/")
+        return cls(int(angle), round(100 * float(resolution)))
+
     def _words(self) -> bytes:
         return self.angle_deg.to_bytes(2, "little") + self.resolution_cdeg.to_bytes(2, "little")
 
@@ -299,3 +287,5 @@ class Variant:
 
 VARIANTS = tuple(Variant(angle, res) for angle, res in ((180, 100), (180, 50), (100, 100), (100, 50), (100, 25)))
 """What 3Bh accepts: 180 degrees at 0.25 exists only as interlaced partial scans."""
+FAST = Variant(90, 50)
+"""The only one of the LMS Fast, which does not know 3Bh."""

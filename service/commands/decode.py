@@ -9,6 +9,7 @@ from typing import Annotated, Literal, TypeAlias, cast
 from cyclopts import App, Parameter
 
 from drivers.errors import CaptureError
+from drivers.sick_lms.telegrams import Variant
 from service.json_lines import counts_line, print_samples
 from service.passive import (
     EncodersFile,
@@ -25,6 +26,7 @@ CHUNK_BYTES = 1 << 16
 
 File: TypeAlias = Annotated[Path, Parameter(allow_leading_hyphen=True)]
 MeasuringMode: TypeAlias = Literal[0, 1, 2, 3, 4, 5, 6, 15]
+LmsVariant: TypeAlias = Literal["180/1", "180/0.5", "100/1", "100/0.5", "100/0.25", "90/0.5"]
 
 app = App(
     name="decode",
@@ -34,7 +36,7 @@ app = App(
 
 
 @app.command
-def lms(file: File, /, *, measuring_mode: MeasuringMode | None = None) -> int:
+def lms(file: File, /, *, measuring_mode: MeasuringMode | None = None, variant: LmsVariant | None = None) -> int:
     """Scans of a SICK LMS2xx, from all that the scanner sent.
 
     {"kind":"scan","stamp_ns":0,"angle_min_rad":..,"angle_increment_rad":..,"ranges_m":[2.623,null,..],"status":16}
@@ -49,8 +51,11 @@ def lms(file: File, /, *, measuring_mode: MeasuringMode | None = None) -> int:
     measuring_mode
         The scanner's measuring mode, which tells how many bits of a value are distance. Without it, it is taken from
         configuration or status telegrams in the file, or else inferred from the values.
+    variant
+        Angle and resolution that sub-ranges belong to, in degrees. Without it, it is taken from status or variant
+        telegrams, whole scans or the power-on string in the file; a sub-range before them is counted, not guessed.
     """
-    return _decode(LmsFile(measuring_mode), file)
+    return _decode(LmsFile(measuring_mode, None if variant is None else Variant.named(variant)), file)
 
 
 @app.command

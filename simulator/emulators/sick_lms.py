@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from drivers.sick_lms.measurements import (
     DISTANCE_BITS,
     TURN_NS,
-    RangeTelegram,
     Sweep,
     ValueFormat,
     full_sweep,
     partial_sweep,
 )
+from drivers.sick_lms.range_telegrams import RangeTelegram
 from drivers.sick_lms.telegrams import (
     ACK,
     BAUD_MODES,

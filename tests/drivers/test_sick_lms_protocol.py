@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from drivers.config import LaserConfig
 from drivers.samples import Scan
-from drivers.sick_lms.measurements import CM, MM, TURN_NS, RangeTelegram
+from drivers.sick_lms.measurements import CM, MM, TURN_NS
 from drivers.sick_lms.protocol import SickLmsProtocol
+from drivers.sick_lms.range_telegrams import RangeTelegram
 from drivers.sick_lms.startup import STEPS, TRANSITIONS, WAITS_MS, Outcome, State
 from drivers.sick_lms.telegrams import POWER_ON, Command, DeviceType, Mode, Variant, answer, request
 from simulator.emulators.sick_lms import FACTORY_RECORD, SickLmsEmulator

@@ -7,17 +7,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.samples import Stamp
 from drivers.sick_lms.measurements import (
     CM,
     DISTANCE_BITS,
     MM,
     TURN_NS,
-    RangeTelegram,
     ValueFormat,
     full_sweep,
     partial_sweep,
     scan_of,
 )
+from drivers.sick_lms.plausibility import header_fits, status_fits
+from drivers.sick_lms.range_telegrams import RangeTelegram
 from drivers.sick_lms.telegrams import (
     PASSWORD,
     VARIANTS,
@@ -28,9 +30,7 @@ from drivers.sick_lms.telegrams import (
     Mode,
     Variant,
     answer,
-    header_fits,
     request,
-    status_fits,
 )
 
 RECORD = bytes.fromhex("0000 7000 00 00 01 0000 02 02") + bytes(21) + b"\x02\x00"
@@ -194,7 +194,8 @@ def test_scan_begins_one_sweep_before_its_first_byte() -> None:
     sweep = full_sweep(Variant(180, 50))
     telegram = RangeTelegram(np.full(361, 2623, np.uint16), MM, status=0x11)
 
-    scan = scan_of(telegram, sweep, ValueFormat(15, MM), 10**9, (1_000_000, 6_000_000))
+    sent = Stamp(10**9 - 6_000_000, 10**9 - 1_000_000)
+    scan = scan_of(telegram, sweep, ValueFormat(15, MM).decode(telegram.codes), sent)
 
     assert scan.stamp.earliest_ns == 10**9 - 2 * TURN_NS - 6_000_000
     assert scan.stamp.latest_ns == 10**9 - 2 * TURN_NS - 1_000_000
