@@ -2,9 +2,10 @@
 
 A channel per device, topic `/raw/<device>`. Each message is one read: `log_time` is the host's wall clock, for people
 and viewers; `publish_time` its monotonic clock at receipt, the only time that replay uses. Empty messages of
-`/deadline/<device>` say where a deadline of the driver passed: that changes what it makes of the bytes that follow. The
-configuration's text is the metadata record `terrabound.config`, and comes first, so that even the head of a broken file
-replays alone.
+`/deadline/<device>` say where a deadline of the driver passed: that changes what it makes of the bytes that follow.
+Messages of `/late/<device>` say how late the next read of the device may have come (8 bytes, nanoseconds, little
+endian). The configuration's text is the metadata record `terrabound.config`, and comes first, so that even the head of
+a broken file replays alone.
 """
 
 import contextlib
@@ -29,9 +30,11 @@ CONFIG_KEY = "toml"
 DBC_KEY = "dbc"
 RAW_TOPIC = "/raw/"
 DEADLINE_TOPIC = "/deadline/"
+LATE_TOPIC = "/late/"
 BYTES_ENCODING = "application/octet-stream"
 CAN_ENCODING = "application/x-can-frame"
 
+_LATE = struct.Struct("<Q")
 _MAGIC = b"\x89MCAP0\r\n"
 _CHUNK_BYTES = 64 * 1024
 _FLUSH_NS = 250_000_000
@@ -61,6 +64,8 @@ class RawChunk:
     """Monotonic time of the read on the machine that recorded."""
     deadline: bool = False
     """No read at all (and no bytes): the driver was told that its deadline had passed."""
+    late_ns: int = 0
+    """So much longer than usual its bytes may have lain in the port before the read."""
 
 
 class CaptureWriter:
@@ -98,9 +103,11 @@ class CaptureWriter:
         except OSError as error:
             raise self._failed(error) from error
 
-    def write(self, device: str, data: bytes, monotonic_ns: int, wall_ns: int) -> None:
+    def write(self, device: str, data: bytes, monotonic_ns: int, wall_ns: int, late_ns: int = 0) -> None:
         """Record one read of `device`. CaptureError when the disk refuses; nothing more is recorded after that."""
         encoding = CAN_ENCODING if device in self._can_frames else BYTES_ENCODING
+        if late_ns:
+            self._write(LATE_TOPIC + device, BYTES_ENCODING, _LATE.pack(late_ns), monotonic_ns, wall_ns)
         self._write(RAW_TOPIC + device, encoding, data, monotonic_ns, wall_ns)
 
     def write_deadline(self, device: str, monotonic_ns: int, wall_ns: int) -> None:
@@ -167,17 +174,23 @@ class Capture:
 
     def __iter__(self) -> Iterator[RawChunk]:
         """Every read and every deadline of every device, in the order recorded."""
-        devices: dict[int, tuple[str, bool]] = {}
+        devices: dict[int, tuple[str, str]] = {}
+        late_ns: dict[str, int] = {}
         with self.path.open("rb") as file:
             records = self._whole_records(file)
             for record in records:
                 if isinstance(record, Channel):
-                    for prefix, deadline in ((RAW_TOPIC, False), (DEADLINE_TOPIC, True)):
+                    for prefix in (RAW_TOPIC, DEADLINE_TOPIC, LATE_TOPIC):
                         if record.topic.startswith(prefix):
-                            devices[record.id] = record.topic.removeprefix(prefix), deadline
+                            devices[record.id] = prefix, record.topic.removeprefix(prefix)
                 elif isinstance(record, Message) and (source := devices.get(record.channel_id)) is not None:
-                    device, deadline = source
-                    yield RawChunk(device, b"" if deadline else record.data, record.publish_time, deadline)
+                    topic, device = source
+                    if topic == LATE_TOPIC:
+                        late_ns[device] = int.from_bytes(record.data[: _LATE.size], "little")
+                    elif topic == DEADLINE_TOPIC:
+                        yield RawChunk(device, b"", record.publish_time, deadline=True)
+                    else:
+                        yield RawChunk(device, record.data, record.publish_time, late_ns=late_ns.pop(device, 0))
 
     def _whole_records(self, file: IO[bytes]) -> Iterator[McapRecord]:
         reader = StreamReader(file, emit_chunks=True, record_size_limit=_RECORD_LIMIT_BYTES)

@@ -35,6 +35,9 @@ class Clock(Protocol):
     def now_ns(self) -> int:
         """Monotonic time in nanoseconds."""
 
+    def lain_ns(self, empty_ns: int) -> int:
+        """How long bytes just read may have lain in a port that the system's clock saw empty at `empty_ns`."""
+
     def acknowledge(self, device: str, total_bytes: int) -> None:
         """Say that `total_bytes` of `device` have been read and dealt with since the start."""
 
@@ -45,6 +48,10 @@ class SystemClock:
     def now_ns(self) -> int:
         """Nanoseconds of the monotonic clock."""
         return time.monotonic_ns()
+
+    def lain_ns(self, empty_ns: int) -> int:
+        """Since then."""
+        return time.monotonic_ns() - empty_ns
 
     def acknowledge(self, device: str, total_bytes: int) -> None:
         """Nobody waits."""
@@ -105,6 +112,10 @@ class LockstepClock:
     def now_ns(self) -> int:
         """The virtual time."""
         return self._words[_NOW_WORD]
+
+    def lain_ns(self, empty_ns: int) -> int:
+        """No time at all: it stands still until all bytes are dealt with."""
+        return 0
 
     def set(self, now_ns: int) -> None:
         """Move the virtual time to `now_ns`; it never goes back."""

@@ -1,7 +1,8 @@
 """Where bytes come from: serial ports and SocketCAN interfaces. The only file that opens a device.
 
-A transport knows no protocol. It hands over what one read gave, at once, however little that is; a port that went away
-is PortLost, once and for all: close it and open a new one.
+A transport knows no protocol. It hands over what one read gave, at once, however little that is, and knows when the
+port was last seen empty: bytes read now surely came after that, however long this process was kept from reading. A port
+that went away is PortLost, once and for all: close it and open a new one.
 """
 
 import contextlib
@@ -9,6 +10,7 @@ import errno
 import os
 import select
 import termios
+import time
 from pathlib import Path
 from typing import Protocol
 
@@ -21,6 +23,10 @@ from drivers.track_encoders.codec import CanFrame, pack_can_frame, unpack_can_fr
 _READ_BYTES = 65536
 _WRITE_PATIENCE_S = 1.0
 _FRAMES_PER_READ = 256
+_LOOK_NS = 4_000_000
+"""While waiting, a port is looked at this often, so that it is known to have been empty until a little while ago."""
+_FULL_BYTES = 2048
+"""A read of so much may have left bytes behind: a terminal's buffer holds 4095, with more bytes in reserve."""
 
 
 class Transport(Protocol):
@@ -28,6 +34,8 @@ class Transport(Protocol):
 
     name: str
     """The port as the owner wrote it, for messages."""
+    empty_ns: int
+    """Monotonic time before which none of the bytes came that the last read gave: then the port was seen empty."""
 
     def read(self, timeout_s: float) -> bytes:
         """What has arrived; waits for the first byte at most `timeout_s`, then b"". Raises PortLost."""
@@ -45,8 +53,8 @@ class Transport(Protocol):
 class SerialTransport:
     """A tty, raw, 8 data bits, no parity, 1 stop bit, no flow control, and ours alone."""
 
-    def __init__(self, port: str, line: serial.Serial) -> None:
-        """Use `open_serial`."""
+    def __init__(self, port: str, line: serial.Serial, opened_ns: int) -> None:
+        """Use `open_serial`. What the port gives came after `opened_ns`."""
         self.name = port
         self._line = line
         self._fd = line.fileno()
@@ -54,13 +62,18 @@ class SerialTransport:
         self._readable.register(self._fd, select.POLLIN)
         self._writable = select.poll()
         self._writable.register(self._fd, select.POLLOUT)
+        self.empty_ns = self._emptied_ns = opened_ns
 
     def read(self, timeout_s: float) -> bytes:
         """What has arrived; waits for the first byte at most `timeout_s`, then b""."""
         try:
-            if not self._readable.poll(max(0.0, timeout_s) * 1000):
+            if not self._wait(max(0.0, timeout_s)):
                 return b""
+            begun_ns = time.monotonic_ns()
             data = os.read(self._fd, _READ_BYTES)
+            self.empty_ns = self._emptied_ns
+            if len(data) < _FULL_BYTES:  # nothing was left behind
+                self._emptied_ns = begun_ns
         except BlockingIOError:
             return b""
         except OSError as error:
@@ -68,6 +81,19 @@ class SerialTransport:
         if not data:  # ready to read, yet nothing to read: the other end is gone
             raise self._lost(None)
         return data
+
+    def _wait(self, timeout_s: float) -> bool:
+        """Until there is something to read; remembers when there surely was nothing."""
+        now_ns = time.monotonic_ns()
+        until_ns, wait_ns = now_ns + int(timeout_s * 1e9), 0
+        while not self._readable.poll(wait_ns * 1e-6):
+            # It gave up no earlier than it was asked to, and found nothing then.
+            self._emptied_ns = now_ns + wait_ns
+            now_ns = time.monotonic_ns()
+            if now_ns >= until_ns:
+                return False
+            wait_ns = min(_LOOK_NS, until_ns - now_ns)
+        return True
 
     def write(self, data: bytes) -> None:
         """Send all of `data`; a line that takes nothing for a second counts as lost."""
@@ -108,6 +134,7 @@ class SerialTransport:
 
 def open_serial(port: str, baud: int) -> SerialTransport:
     """Open the tty `port` exclusively; what it had buffered is thrown away, since nobody knows when that came."""
+    opened_ns = time.monotonic_ns()
     try:
         line = serial.Serial(port, baud, timeout=0, exclusive=True, xonxoff=False, rtscts=False, dsrdtr=False)
     except (OSError, termios.error) as error:  # SerialException is an OSError
@@ -117,7 +144,7 @@ def open_serial(port: str, baud: int) -> SerialTransport:
     # A USB adapter may hold bytes back for 16 ms unless asked not to; others don't know the question.
     with contextlib.suppress(OSError, ValueError, NotImplementedError):
         line.set_low_latency_mode(True)
-    return SerialTransport(port, line)
+    return SerialTransport(port, line, opened_ns)
 
 
 def _refusal(port: str, baud: int, error: Exception) -> PortError:
@@ -141,15 +168,26 @@ class SocketCanTransport:
         """Use `open_socketcan`."""
         self.name = interface
         self._bus = bus
+        self.empty_ns = self._emptied_ns = time.monotonic_ns()
 
     def read(self, timeout_s: float) -> bytes:
         """All frames that have arrived; waits for the first at most `timeout_s`."""
         frames: list[bytes] = []
-        wait_s = max(0.0, timeout_s)
+        until_ns, wait_s = time.monotonic_ns() + int(max(0.0, timeout_s) * 1e9), 0.0
+        self.empty_ns = self._emptied_ns
         try:
-            while len(frames) < _FRAMES_PER_READ and (message := self._bus.recv(wait_s)) is not None:
-                frames.append(pack_can_frame(_frame_of(message)))
-                wait_s = 0.0
+            while len(frames) < _FRAMES_PER_READ:
+                now_ns = time.monotonic_ns()
+                message = self._bus.recv(wait_s)
+                if message is not None:
+                    frames.append(pack_can_frame(_frame_of(message)))
+                    wait_s = 0.0
+                    continue
+                self._emptied_ns = now_ns  # python-can may give up a little early, so not later than the call's begin
+                if frames or now_ns >= until_ns:
+                    break
+                self.empty_ns = now_ns
+                wait_s = min(_LOOK_NS, until_ns - now_ns) * 1e-9
         except (can.CanError, OSError) as error:
             raise self._lost(error) from error
         return b"".join(frames)

@@ -13,6 +13,7 @@ from drivers.errors import CaptureError, PortError
 from drivers.transports import Transport
 from service.devices import Device
 from service.health import Health
+from service.lateness import Lateness, lateness_ns
 from service.sample_queue import Arrival, SampleQueue
 
 LONGEST_READ_S = 0.05
@@ -42,6 +43,7 @@ class Reader:
         self._capture = capture
         health.watch(device.name, device.stale_after_s, self.protocol.counts)
         self._acknowledge = acknowledge
+        self._lateness = Lateness()
         self._total_bytes = 0
         self.failure: BaseException | None = None
         """What ended the thread, if it wasn't `stop`: a fault of ours or of the disk, never of the line."""
@@ -104,8 +106,11 @@ class Reader:
                 protocol.advance(now_ns)
             if not data:
                 continue
-            self._record(data, now_ns)
-            samples = protocol.receive_data(data, now_ns)
+            if late_ns := lateness_ns(self._clock.lain_ns(transport.empty_ns)):
+                self._lateness.read_late(now_ns, late_ns)
+                protocol.counts["late_reads"] += 1
+            self._record(data, now_ns, late_ns)
+            samples = self._lateness.widened(protocol.receive_data(data, now_ns))
             if samples:
                 self._queue.put([Arrival(name, sample, received_ns) for sample in samples])
             self._total_bytes += len(data)
@@ -113,7 +118,7 @@ class Reader:
             if self._acknowledge is not None:
                 self._acknowledge(name, self._total_bytes)
 
-    def _record(self, data: bytes | None, now_ns: int) -> None:
+    def _record(self, data: bytes | None, now_ns: int, late_ns: int = 0) -> None:
         """Into the capture, if there is one (None: a deadline); where the disk refuses, mapping goes on without it."""
         if self._capture is None:
             return
@@ -121,7 +126,7 @@ class Reader:
             if data is None:
                 self._capture.write_deadline(self._device.name, now_ns, time.time_ns())
             else:
-                self._capture.write(self._device.name, data, now_ns, time.time_ns())
+                self._capture.write(self._device.name, data, now_ns, time.time_ns(), late_ns)
         except CaptureError as error:
             self._capture = None
             self._health.trouble("recording", str(error))

@@ -16,10 +16,13 @@ from service.sample_queue import Arrival
 
 
 def time_in_order(sample: Sample) -> int:
-    """The instant that a sample is sorted by: the middle of its stamp, for a scan that of its last shot."""
+    """The instant that a sample is sorted by: the end of its stamp, for a scan that of its last shot.
+
+    The end, since it follows the reads: samples of one device keep their order where a late read widened their stamps.
+    """
     if isinstance(sample, Scan):
-        return sample.stamp.mid_ns + int(np.max(sample.beam_offset_ns, initial=0))
-    return sample.stamp.mid_ns
+        return sample.stamp.latest_ns + int(np.max(sample.beam_offset_ns, initial=0))
+    return sample.stamp.latest_ns
 
 
 class ReorderingWindow:

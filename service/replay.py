@@ -6,6 +6,7 @@ from drivers.capture import RawChunk
 from estimator.bounded_pose import BoundedPose
 from service.config import LoadedConfig
 from service.devices import wiring
+from service.lateness import Lateness
 from service.pipeline import Pipeline
 from service.sample_queue import Arrival
 
@@ -18,6 +19,7 @@ def replay(
     An empty chunk says that the port was opened then (docs/capture-format.md).
     """
     protocols = {device.name: device.protocol() for device in wiring(loaded)}
+    lateness = {name: Lateness() for name in protocols}
     pipeline = Pipeline(loaded.config, on_pose)
     for chunk in chunks:
         protocol = protocols.get(chunk.device)
@@ -33,7 +35,9 @@ def replay(
         # Our own recordings hold every deadline; those of others may not.
         if protocol.deadline_ns is not None and protocol.deadline_ns <= chunk.stamp_ns:
             protocol.advance(chunk.stamp_ns)
-        for sample in protocol.receive_data(chunk.data, chunk.stamp_ns):
+        if chunk.late_ns:
+            lateness[chunk.device].read_late(chunk.stamp_ns, chunk.late_ns)
+        for sample in lateness[chunk.device].widened(protocol.receive_data(chunk.data, chunk.stamp_ns)):
             pipeline.step(Arrival(chunk.device, sample, chunk.stamp_ns))
         protocol.data_to_send()  # questions to a device that isn't there
     pipeline.finish()

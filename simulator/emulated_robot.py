@@ -3,6 +3,8 @@
 Time goes in slices. At the end T of each slice the robot takes what the hosts wrote, and sends what every device has
 finished sending by T. With a lockstep clock it then waits until the hosts have dealt with all of it, so that each byte
 is stamped T however loaded the machine is; without one, T is the system's monotonic clock and nobody is waited for.
+What this process then can't send within the declared latencies, because the machine kept it from running, is lost on
+the line: late bytes would break a promise that the robot's owner has made of real devices.
 
 The robot stands still until the hosts listen: the laser streams and the encoders' channel is open. Then its two seconds
 of standstill begin, then the drive. In lockstep they begin at a whole multiple of five seconds, so that the readings of
@@ -19,7 +21,7 @@ from pathlib import Path
 from typing import Literal, TypeAlias
 
 from drivers.clock import LockstepClock, SystemClock
-from drivers.config import DevicesConfig, LatencyMs
+from drivers.config import READ_ALLOWANCE_NS, DevicesConfig, LatencyMs
 from drivers.errors import ConfigurationError, PortLost
 from simulator.emulators.emulator import Emulator
 from simulator.emulators.gps import GpsEmulator
@@ -30,6 +32,7 @@ from simulator.ports import PseudoPort
 from simulator.world import World
 
 SLICE_NS = 10_000_000
+REAL_TIME_SLICE_NS = 2_000_000
 SLOW_SENSOR_PERIOD_NS = 20_000_000
 """Accelerometers and tilt sensor: 50 Hz, beside the gyroscope's 200."""
 SETTLE_S = 0.05
@@ -54,6 +57,8 @@ class Progress:
     duration_s: float
     scans: int
     """Sent by the laser."""
+    late_bytes: int = 0
+    """Lost because this process could not send them in time."""
 
 
 def print_progress(progress: Progress) -> None:
@@ -66,7 +71,13 @@ class Wire:
 
     def __init__(self, name: str, emulator: Emulator, port: PseudoPort) -> None:
         self.name, self.emulator, self.port = name, emulator, port
-        self._prepared: list[tuple[bytes, int | None]] = []
+        self.patience_ns: int | None = None
+        """Bytes that this process can't send within so much of their time are lost; None: nothing is ever late."""
+        self.late_bytes = 0
+        """So lost."""
+        self._prepared: list[tuple[int, bytes, int | None]] = []
+        """(time before which nothing of it was due, the bytes, their rate)."""
+        self._prepared_ns: int | None = None
         self._written = 0
         self._lost = 0
 
@@ -82,6 +93,8 @@ class Wire:
 
     def prepare(self, now_ns: int) -> None:
         """Take what the host wrote, and have ready what the device has finished sending by `now_ns`."""
+        due_ns = now_ns if self._prepared_ns is None else self._prepared_ns
+        self._prepared_ns = now_ns
         if request := self.port.read():
             self.emulator.receive_data(self._on_the_line(request), now_ns)
         # A device that changes its rate hands out what it sent before by itself.
@@ -89,13 +102,16 @@ class Wire:
             rate = self.emulator.baud
             data = self.emulator.data_to_send(now_ns)
             if data:
-                self._prepared.append((data, rate))
+                self._prepared.append((due_ns, data, rate))
             if self.emulator.baud == rate:
                 return
 
     def send(self) -> None:
         """Write what is ready."""
-        for data, rate in self._prepared:
+        for due_ns, data, rate in self._prepared:
+            if self.patience_ns is not None and SystemClock().now_ns() - due_ns > self.patience_ns:
+                self.late_bytes += len(data)
+                continue
             self._written += len(data)
             self.port.write(self._on_the_line(data, rate))
         self._prepared.clear()
@@ -127,10 +143,11 @@ def run_emulated_robot(
     clock: LockstepClock | None = None,
     speed: float | None = None,
     truth_path: Path | None = None,
-    slice_ns: int = SLICE_NS,
+    slice_ns: int | None = None,
     on_progress: Callable[[Progress], None] = print_progress,
     stopping: threading.Event | None = None,
     stay: bool = False,
+    punctual: bool = True,
     meddle: Callable[[PluggedWires, float], None] | None = None,
 ) -> None:
     """Open the ports, wait for the hosts, drive to the end of the world's drive, write the truth.
@@ -138,12 +155,16 @@ def run_emulated_robot(
     links: a path for each device of `laser, encoders, imu, gps` that shall be there, or a folder for links of these
     names are made. Without laser or encoders the robot never drives.
     clock: in lockstep, whose `now_ns` is the world's `start_ns`; None: real time on the system's clock.
+    slice_ns: by default SLICE_NS in lockstep, else REAL_TIME_SLICE_NS.
     speed: in lockstep, times real time; None: as fast as the hosts can. Before the drive it is never above 1.
     stopping, or Ctrl-C: end early, the truth is still written. stay: after the drive, stand still until stopped.
+    punctual: in real time, what can't be sent within the declared latencies is lost; else it is sent late.
     meddle: called before each slice of the drive with the wires and the seconds driven, to pull plugs and the like.
     """
     stopping = stopping or threading.Event()
-    plugged = _plug_in(world, devices, links, slice_ns, world.start_ns if clock else SystemClock().now_ns())
+    slice_ns = slice_ns or (SLICE_NS if clock else REAL_TIME_SLICE_NS)
+    start_ns = world.start_ns if clock else SystemClock().now_ns()
+    plugged = _plug_in(world, devices, links, slice_ns, start_ns, punctual and clock is None)
     try:
         _Run(world, plugged, clock, speed, slice_ns, on_progress, stopping, stay, meddle).run(truth_path)
     finally:
@@ -220,9 +241,15 @@ class _Run:
         driving, heard = self._drive_start_ns is not None, self._devices.heard
         pace.wait(self._slice_ns, driving or heard)
         before_ns = self._now_ns
-        self._now_ns = before_ns + self._slice_ns if self._clock is not None else SystemClock().now_ns()
-        for wire in self._wires:
-            wire.prepare(self._now_ns)
+        if self._clock is not None:
+            self._now_ns += self._slice_ns
+            self._prepare()
+        else:
+            # However late this is: step by step, so that only what is late is lost.
+            now_ns = SystemClock().now_ns()
+            while self._now_ns < now_ns:
+                self._now_ns = min(self._now_ns + self._slice_ns, now_ns)
+                self._prepare()
         if self._clock is not None:
             # Only now, so that the hosts have dealt with the last slice while this one was made.
             self._wait_for_acknowledgements(self._clock)
@@ -237,6 +264,11 @@ class _Run:
             self._drive_start_ns = self._now_ns
             self._world.begin_drive(self._now_ns)
         self._report_now_and_then("driving" if driving else "starting")
+
+    def _prepare(self) -> None:
+        """Every device up to now."""
+        for wire in self._wires:
+            wire.prepare(self._now_ns)
 
     def _wait_for_acknowledgements(self, clock: LockstepClock) -> None:
         """Until the hosts have dealt with every byte; a host that closed its port leaves its bytes behind."""
@@ -260,7 +292,10 @@ class _Run:
     def _report(self, state: Literal["waiting", "starting", "driving", "done"]) -> None:
         driven_ns = 0 if self._drive_start_ns is None else self._now_ns - self._drive_start_ns
         duration_s = self._world.drive.duration_ns * 1e-9
-        self._on_progress(Progress(state, self._now_ns, driven_ns * 1e-9, duration_s, self._devices.laser.scans_sent))
+        late_bytes = sum(wire.late_bytes for wire in self._wires)
+        self._on_progress(
+            Progress(state, self._now_ns, driven_ns * 1e-9, duration_s, self._devices.laser.scans_sent, late_bytes)
+        )
 
 
 class _Pace:
@@ -283,17 +318,29 @@ class _Pace:
 
 
 def _plug_in(
-    world: World, devices: DevicesConfig, links: Mapping[str, Path] | Path, slice_ns: int, start_ns: int
+    world: World,
+    devices: DevicesConfig,
+    links: Mapping[str, Path] | Path,
+    slice_ns: int,
+    start_ns: int,
+    punctual: bool,
 ) -> _Devices:
     """Switch the devices on at `start_ns` and plug them in."""
-    laser, encoders, emulators = emulate_devices(world, devices, slice_ns, start_ns)
+    readers_ns = READ_ALLOWANCE_NS if punctual else 0
+    laser, encoders, emulators = emulate_devices(world, devices, slice_ns + readers_ns, start_ns)
     paths = {name: links / name for name in DEVICES} if isinstance(links, Path) else links
     wires = []
     for name in [name for name in emulators if name in paths]:
         if paths[name].exists() and not paths[name].is_symlink():
             raise ConfigurationError(f"{paths[name]}: exists and is no link; name another path for the emulated port")
         paths[name].parent.mkdir(parents=True, exist_ok=True)
-        wires.append(Wire(name, emulators[name], PseudoPort(paths[name])))
+        wire = Wire(name, emulators[name], PseudoPort(paths[name]))
+        if punctual:
+            # A host that is kept from reading measures how long the pty held bytes for it; ours must come in time.
+            most_ns = round(1e6 * getattr(devices, name).latency_ms[1]) - READ_ALLOWANCE_NS
+            wire.patience_ns = most_ns - getattr(emulators[name], "latency_ns", 0)
+            wire.port.keeps_backlog = False
+        wires.append(wire)
     return _Devices(laser, encoders, wires)
 
 

@@ -25,6 +25,8 @@ class PseudoPort:
 
     def __init__(self, link: Path | str | None = None) -> None:
         """Plug in; with `link`, a symbolic link of that name leads to whichever pty stands for the port now."""
+        self.keeps_backlog = True
+        """May bytes wait for room in the pty's buffer? A real adapter whose host doesn't read loses them."""
         self._link = Path(link) if link is not None else None
         self._master = -1
         self._node = ""
@@ -71,6 +73,9 @@ class PseudoPort:
         with contextlib.suppress(BlockingIOError):
             while self._backlog:
                 del self._backlog[: os.write(self._master, self._backlog)]
+        if self._backlog and not self.keeps_backlog:
+            self.dropped_bytes += len(self._backlog)
+            self._backlog.clear()
 
     def read(self) -> bytes:
         """What the host has sent since the last call; never blocks."""

@@ -259,6 +259,7 @@ def _emulate(
                 on_progress=on_progress,
                 stopping=stopping,
                 stay=clock is None,
+                punctual=not isinstance(links, Mapping),  # a device alone keeps no promise to anybody
             )
     finally:
         if clock is not None:

@@ -18,6 +18,7 @@ from drivers.samples import Sample
 from estimator.bounded_pose import BoundedPose
 from service.config import LoadedConfig
 from service.devices import wiring
+from service.lateness import Lateness
 from service.onboard import Onboard
 from service.pipeline import Pipeline
 from simulator.ports import PseudoPort
@@ -76,6 +77,8 @@ class _Rehearsed:
     def __init__(self, protocol: DeviceProtocol[Sample]) -> None:
         self._protocol = protocol
         self._passed_ns: deque[int] = deque()
+        self._late: deque[tuple[int, int]] = deque()
+        self._lateness = Lateness()
         self.counts = protocol.counts
 
     @property
@@ -91,6 +94,10 @@ class _Rehearsed:
     def deadline_passed(self, time_ns: int) -> None:
         """At this place in the recording; takes effect before the bytes that follow. Any thread."""
         self._passed_ns.append(time_ns)
+
+    def read_late(self, read_ns: int, late_ns: int) -> None:
+        """The read of this time, which is still to come, was late in the recording. Any thread."""
+        self._late.append((read_ns, late_ns))
 
     def connection_made(self, now_ns: int) -> None:
         """As in the recording."""
@@ -108,7 +115,9 @@ class _Rehearsed:
         deadline_ns = self._protocol.deadline_ns
         if deadline_ns is not None and deadline_ns <= stamp_ns:
             self._protocol.advance(stamp_ns)
-        return self._protocol.receive_data(data, stamp_ns)
+        while self._late:
+            self._lateness.read_late(*self._late.popleft())
+        return self._lateness.widened(self._protocol.receive_data(data, stamp_ns))
 
     def data_to_send(self) -> bytes:
         """Questions to a device that isn't there."""
@@ -153,6 +162,8 @@ class _Wires:
             return
         self._clock.set(max(chunk.stamp_ns, self._clock.now_ns()))
         if chunk.data:
+            if chunk.late_ns:
+                self._rehearsed[chunk.device].read_late(chunk.stamp_ns, chunk.late_ns)
             self._totals[chunk.device] += len(chunk.data)
             port.write(chunk.data)
             self._wait_until_read()

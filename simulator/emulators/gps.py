@@ -42,7 +42,8 @@ class GpsEmulator:
         self._start_ns = start_ns
         self._next_ns = start_ns
         self._period_ns = period_ns
-        self._latency_ns = latency_ns
+        self.latency_ns = latency_ns
+        """From acquisition to the wire."""
         self.quality = quality
         """GGA quality from now on; 0 sends epochs without a fix."""
         self._hdop = hdop
@@ -63,7 +64,7 @@ class GpsEmulator:
     def data_to_send(self, now_ns: int) -> bytes:
         """The sentences of all epochs due by `now_ns`."""
         data = bytearray()
-        while self._next_ns + self._latency_ns <= now_ns:
+        while self._next_ns + self.latency_ns <= now_ns:
             data += self._sentences(self._next_ns)
             self._next_ns += self._period_ns
         return bytes(data)

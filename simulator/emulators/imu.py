@@ -49,7 +49,8 @@ class ImuEmulator:
         """
         self._gyro, self._accel, self._tilt = gyro, accel, tilt
         self._gyro_period_ns = gyro_period_ns
-        self._latency_ns = latency_ns
+        self.latency_ns = latency_ns
+        """From acquisition to the wire."""
         self._rate = 1.0 + clock_ppm * 1e-6
         self._boot_ns = start_ns if boot_ns is None else boot_ns
         self._baud = baud
@@ -72,7 +73,7 @@ class ImuEmulator:
     def data_to_send(self, now_ns: int) -> bytes:
         """All packets due by `now_ns`, in the order of their acquisition."""
         data = bytearray()
-        while (stream := min(self._streams, key=lambda s: s.next_ns)).next_ns + self._latency_ns <= now_ns:
+        while (stream := min(self._streams, key=lambda s: s.next_ns)).next_ns + self.latency_ns <= now_ns:
             data += serialise(stream.make(stream.next_ns))
             self._sequence = (self._sequence + 1) % 256
             stream.next_ns += stream.period_ns

@@ -32,7 +32,8 @@ class TrackEncodersEmulator:
         self._count = count
         self._next_ns = start_ns
         self._period_ns = period_ns
-        self._latency_ns = latency_ns
+        self.latency_ns = latency_ns
+        """From acquisition to the wire."""
         self._bus_speed = SLCAN_BITRATES[bitrate]
         self._firmware = firmware
         self._speed: int | None = None
@@ -69,7 +70,7 @@ class TrackEncodersEmulator:
 
     def _run_until(self, now_ns: int) -> None:
         """Let the unit send up to `now_ns`, into an adapter that passes frames on only while it is open."""
-        while self._next_ns + self._latency_ns <= now_ns:
+        while self._next_ns + self.latency_ns <= now_ns:
             if self.is_open:
                 self._outbox += serialise_slcan(tracks_frame(*self._count(self._next_ns)))
             self._next_ns += self._period_ns

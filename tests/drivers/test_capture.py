@@ -15,15 +15,19 @@ CONFIG = '[robot]\nname = "γ 1"\n'
 
 
 def some_chunks(n: int) -> list[RawChunk]:
-    """`n` reads of three devices, 3 ms apart, some of them empty."""
-    return [RawChunk(("laser", "imu", "gps")[i % 3], os.urandom(i % 97), 1_000 + 3_000_000 * i) for i in range(n)]
+    """`n` reads of three devices, 3 ms apart, some of them empty, some of them late."""
+    return [
+        RawChunk(("laser", "imu", "gps")[i % 3], os.urandom(i % 97), 1_000 + 3_000_000 * i, late_ns=i % 7 * 1_000_000)
+        for i in range(n)
+    ]
 
 
 def record(path: Path, chunks: list[RawChunk]) -> CaptureWriter:
     """A recording of `chunks`, not closed."""
     writer = CaptureWriter(path, CONFIG)
     for chunk in chunks:
-        writer.write(chunk.device, chunk.data, chunk.stamp_ns, 1_700_000_000_000_000_000 + chunk.stamp_ns)
+        wall_ns = 1_700_000_000_000_000_000 + chunk.stamp_ns
+        writer.write(chunk.device, chunk.data, chunk.stamp_ns, wall_ns, chunk.late_ns)
     return writer
 
 

@@ -1,6 +1,7 @@
 """Serial ports as the service meets them, over real pseudo-terminals."""
 
 import os
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -53,6 +54,30 @@ def test_every_byte_value_passes_unchanged_both_ways(port: PseudoPort, host: Ser
     assert read_exactly(host, 256) == EVERY_BYTE
     host.write(EVERY_BYTE)
     assert write_until_read(port, 256) == EVERY_BYTE
+
+
+def test_a_port_knows_when_it_was_last_empty(port: PseudoPort, host: SerialTransport) -> None:
+    """No byte of a read came before that; and while a port is waited at, that is never long ago."""
+    for patience_ms in (0, 50):
+        waiting_ns = time.monotonic_ns()
+        assert host.read(patience_ms / 1000) == b""
+        sent_ns = time.monotonic_ns()
+        port.write(b"first")
+        time.sleep(0.03)  # the time that passes is what is tested
+        assert host.read(10) == b"first"
+        assert waiting_ns + min(patience_ms, 4) * 1_000_000 <= host.empty_ns <= sent_ns
+
+
+def test_after_a_full_read_the_port_was_not_empty(port: PseudoPort, host: SerialTransport) -> None:
+    """What one read left behind may be as old as what it gave."""
+    host.read(0.0)
+    sent_ns = time.monotonic_ns()
+    port.write(bytes(20_000))
+    received = 0
+    while received < 20_000:
+        port.write()
+        received += len(host.read(10))
+        assert host.empty_ns <= sent_ns
 
 
 def test_silence_is_an_empty_read(host: SerialTransport) -> None:

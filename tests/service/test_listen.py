@@ -35,7 +35,7 @@ def emulated(**links: Path) -> Iterator[None]:
     world = World(build_terrain("rough"), RobotModel(), DEVICES, ErrorLaw(), time.monotonic_ns(), 5.0)
     robot = threading.Thread(
         target=lambda: run_emulated_robot(
-            world, DEVICES, links, stopping=stopping, stay=True, on_progress=lambda _: there.set()
+            world, DEVICES, links, stopping=stopping, stay=True, punctual=False, on_progress=lambda _: there.set()
         )
     )
     robot.start()
