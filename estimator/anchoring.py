@@ -11,11 +11,11 @@ from estimator.attitude import UNKNOWN_YAW, AttitudeChain
 from estimator.bounded_pose import Anchor
 from estimator.geodesy import TangentPlane
 from estimator.inconsistency import Contradictions
-from estimator.interval import down, meet, up
-from estimator.observations import anchored, anchored_by_all, lever
-from estimator.position import PositionChain
+from estimator.interval import down, is_empty, meet, up
+from estimator.observations import anchored, anchored_by_all, lever, tied
+from estimator.position import ANYWHERE_M, EARTH, MAP, PositionChain
+from estimator.travelled import travelled_along, travelled_since
 
-ANYWHERE_M = 1e8
 REMEMBERED = 24
 """Early fixes that are applied to the anchor again and again."""
 REMEMBER_EVERY_M = 0.4
@@ -42,50 +42,106 @@ class Anchoring:
         self._anchor = np.array([[-ANYWHERE_M, ANYWHERE_M]] * 3 + [[-UNKNOWN_YAW, UNKNOWN_YAW]])
 
     def correct(self, fix: Fix) -> None:
-        """antenna = t + Rz(Ψ)(p(τ) + R arm): contract the newest position, and the anchor (t, Ψ).
+        """Contract the newest pose, in the map and on Earth, and the anchor that ties the two.
 
-        p(τ) is the newest position less what was travelled since (SMF equation 26, with the signs kept).
+        The antenna was where base_link is now, less what was travelled since the fix, plus the lever arm.
         """
         places, turns, stamp = self._position.tube, self._attitude.tube, fix.stamp
         i, j, n = places.before(stamp.earliest_ns), places.after(stamp.latest_ns), places.newest
         a, b = turns.before(stamp.earliest_ns), turns.after(stamp.latest_ns)
-        if i < places.begin or a < turns.begin or b >= turns.end:
+        around = turns.before(int(places.times[n, 0]))
+        if i < places.begin or min(a, around) < turns.begin or b >= turns.end:
             self._counts["fix_too_old"] += 1
             return
         if self._plane is None:
             self._plane = TangentPlane(fix.lat_deg, fix.lon_deg, fix.alt_m)
-        arm = np.empty((3, 2))
-        lever(turns.hull(a, b), self._arm, arm)
-        since = self._position.travelled_since(i, j, n)
-        offset = _outward(arm[:, 0] - since[:, 1], arm[:, 1] - since[:, 0])
-        here = places.box[n]
-        point = _outward(here[:, 0] + offset[:, 0], here[:, 1] + offset[:, 1])
-        anchor, points, antenna = self._anchor.copy(), self._points.copy(), self._plane.antenna(fix)
-        agree = anchored_by_all(self._antennas, points, self._remembered, anchor)
-        if not agree or not anchored(antenna, anchor, point):
-            self._contradictions.report("gps", stamp.mid_ns)
-            return
-        narrowed = np.empty((3, 2))
-        for c in range(3):
-            seen = (down(point[c, 0] - offset[c, 1]), up(point[c, 1] - offset[c, 0]))
-            narrowed[c] = meet((here[c, 0], here[c, 1]), seen)
-        if np.any(narrowed[:, 0] > narrowed[:, 1]):
+        antenna = self._plane.antenna(fix)
+        box, yaws, anchor = places.box[n].copy(), turns.box[turns.newest, 2:].copy(), self._anchor.copy()
+        points = self._points.copy()
+        offset = self._offset(i, j, a, b)
+        if not (
+            self._on_earth(antenna, offset, around, yaws[1], box[EARTH])
+            and self._in_map(antenna, i, j, a, b, anchor, points, box[MAP])
+            and tied(anchor, yaws, box)
+        ):
             self._contradictions.report("gps", stamp.mid_ns)
             return
         self._anchor, self._points = anchor, points
-        self._remember(antenna, point)
-        self._position.contract(narrowed)
+        turns.box[turns.newest, 2:] = yaws
+        self._position.contract(box)
+        self._position.remember()
 
-    def _remember(self, antenna: NDArray[np.float64], point: NDArray[np.float64]) -> None:
+    def _offset(self, i: int, j: int, a: int, b: int) -> NDArray[np.float64]:
+        """[3, 2] from base_link now to the antenna then, along the newest heading.
+
+        The fix lies between the position nodes i and j, and the gyro nodes a and b.
+        """
+        places, turns = self._position.tube, self._attitude.tube
+        newest = turns.newest
+        attitude, arm = turns.hull(a, b)[:3], np.empty((3, 2))
+        attitude[2] = self._attitude.yaw_between(a, b, newest)
+        lever(attitude, self._arm, arm)
+        since = travelled_along(
+            turns.heading[newest], self._attitude.bias_since(a), places.heading, places.local, i, j, places.newest
+        )
+        return _outward(arm[:, 0] - since[:, 1], arm[:, 1] - since[:, 0])
+
+    def _on_earth(
+        self,
+        antenna: NDArray[np.float64],
+        offset: NDArray[np.float64],
+        around: int,
+        yaw: NDArray[np.float64],
+        place: NDArray[np.float64],
+    ) -> bool:
+        """SMF section 7: contract yaw [2] and place [3, 2] on Earth by this fix and those of the window."""
+        turns = self._attitude.tube
+        height = meet(
+            (place[2, 0], place[2, 1]), (down(antenna[2, 0] - offset[2, 1]), up(antenna[2, 1] - offset[2, 0]))
+        )
+        place[2] = height
+        seconds = int(turns.times[around, 0]) * 1e-9, int(turns.times[turns.newest, 1]) * 1e-9
+        heading = turns.heading[turns.newest]
+        return not is_empty(height) and self._position.window.narrowed(
+            antenna[:2], offset[:2], heading, seconds, self._attitude.bias[2], self._position.quantum, yaw, place[:2]
+        )
+
+    def _in_map(
+        self,
+        antenna: NDArray[np.float64],
+        i: int,
+        j: int,
+        a: int,
+        b: int,
+        anchor: NDArray[np.float64],
+        points: NDArray[np.float64],
+        here: NDArray[np.float64],
+    ) -> bool:
+        """antenna = t + Rz(Ψ)(p(τ) + R arm), by this fix and those of the beginning: contract here [3, 2], anchor."""
+        places, arm = self._position.tube, np.empty((3, 2))
+        lever(self._attitude.tube.hull(a, b), self._arm, arm)
+        since = travelled_since(places.net, places.swing, i, j, places.newest)
+        offset = _outward(arm[:, 0] - since[:, 1], arm[:, 1] - since[:, 0])
+        point = _outward(here[:, 0] + offset[:, 0], here[:, 1] + offset[:, 1])
+        if not anchored_by_all(self._antennas, points, self._remembered, anchor):
+            return False
+        if not anchored(antenna, anchor, point):
+            return False
+        self._remember(antenna, point, points)
+        seen = _outward(point[:, 0] - offset[:, 1], point[:, 1] - offset[:, 0])
+        here[:, 0], here[:, 1] = np.maximum(here[:, 0], seen[:, 0]), np.minimum(here[:, 1], seen[:, 1])
+        return bool(np.all(here[:, 0] <= here[:, 1]))
+
+    def _remember(self, antenna: NDArray[np.float64], point: NDArray[np.float64], points: NDArray[np.float64]) -> None:
         """Keep the first fixes for later: where the robot stood at first, then one every little way."""
         k = self._remembered
         if k == REMEMBERED:
             return
         if k >= STANDING_FIXES:
-            way = np.abs(np.mean(point - self._points[k - 1], axis=1))
+            way = np.abs(np.mean(point - points[k - 1], axis=1))
             if max(way[0], way[1]) < REMEMBER_EVERY_M:
                 return
-        self._antennas[k], self._points[k] = antenna, point
+        self._antennas[k], points[k] = antenna, point
         self._remembered += 1
 
     def anchor(self) -> Anchor | None:

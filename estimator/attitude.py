@@ -1,4 +1,7 @@
-"""The attitude chain: a box of (roll, pitch, yaw) at the true time of each gyro packet, and the gyro's bias box."""
+"""The attitude chain: a box of the angles at the true time of each gyro packet, and the gyro's bias box.
+
+Yaw is kept twice, counted from the map's x axis and from east (rows MAP_YAW and EARTH_YAW): the anchor's yaw ties them.
+"""
 
 from collections import Counter
 from math import isnan, radians
@@ -11,14 +14,17 @@ from drivers.samples import InertialSample, Stamp
 from estimator.config import FilterConfig, RobotConfig
 from estimator.gyro_packets import GyroPackets, Packet
 from estimator.inconsistency import Contradictions
-from estimator.interval import is_empty, meet, up, widen
-from estimator.motion import QUANTUM, GyroBounds, add_effort, excursion, rotate, turn
+from estimator.interval import Interval, is_empty, meet, up, widen
+from estimator.motion import QUANTUM, GyroBounds, add_effort, excursion, relative_yaw_between, rotate, turn
 from estimator.observations import contract_tilt
 from estimator.tube import Tube
 
 UNKNOWN_TILT = 1.5707963267948968
 """Roll and pitch are taken to stay within 90 degrees."""
 UNKNOWN_YAW = 3.1415926535897936
+MAP_YAW, EARTH_YAW = 2, 3
+LOST_YAW = 10.0
+"""Added to the heading's error where a turn could not be enclosed (rad)."""
 DONE, CONTRADICTS = 0, 1
 """What contract_tilt says."""
 LONGEST_BRIDGE_NS = 50_000_000
@@ -48,14 +54,14 @@ class AttitudeChain:
         self._accel_bound = up(imu.accel_bound_mps2 + robot.max_acceleration_mps2)
         self._still_rate = up(radians(config.standstill_rate_dps))
         self._counts, self._contradictions = counts, contradictions
-        self.tube = Tube(int(config.history_s * 1e9))
+        self.tube = Tube(int(config.history_s * 1e9), coordinates=4)
         self.packets = GyroPackets(imu.clock_drift_ppm, counts, contradictions)
         self.bias = np.array([[-self.gyro.most_bias, self.gyro.most_bias]] * 3)
         self.level = False
         """Is the newest attitude a verified box?"""
         self.zeroed = False
         """Has the map begun?"""
-        self._turned, self._varied, self._swing = np.zeros((3, 2)), np.zeros(3), np.zeros(3)
+        self._turned, self._varied, self._swing, self._plain = np.zeros((3, 2)), np.zeros(3), np.zeros(4), np.zeros(5)
 
     # ---------------------------------------------------------------- predict
 
@@ -67,22 +73,26 @@ class AttitudeChain:
             self._append(sample, sample.stamp, np.zeros(3))
             return
         elapsed = self.packets.elapsed(sample)
-        turned, varied, swing = self._turned, self._varied, self._swing
+        turned, varied, swing, plain = self._turned, self._varied, self._swing, self._plain
         rate = np.array(sample.gyro_rps)
-        if not rotate(rate, self.bias, elapsed.least_s, elapsed.most_s, elapsed.gap, self.gyro, turned, varied):
+        if not rotate(rate, self.bias, elapsed.least_s, elapsed.most_s, elapsed.gap, self.gyro, turned, varied, plain):
             self._contradictions.report("gyro", sample.stamp.mid_ns)
-        box = self.tube.box[self.tube.newest].copy()
+        newest = self.tube.newest
+        box, heading = self.tube.box[newest].copy(), self.tube.heading[newest].copy()
         was_level = self.level
-        self.level = self.level and turn(box, turned, varied, swing)
+        self.level = self.level and turn(box, turned, varied, swing, plain, heading)
         i = self._append(sample, elapsed.stamp, varied)
         if self.level:
             self.tube.box[i], self.tube.swing[i] = box, swing
-        elif was_level:
-            self._counts["attitude_lost"] += 1
-            yaw = 0.5 * (box[2, 0] + box[2, 1])
-            self.tube.box[i, 2] = min(box[2, 0], yaw - UNKNOWN_YAW), max(box[2, 1], yaw + UNKNOWN_YAW)
         else:
-            self.tube.box[i, 2] = self.tube.box[i - 1, 2]
+            self.tube.box[i, 2:] = box[2:]
+            heading[2] += LOST_YAW
+            if was_level:
+                self._counts["attitude_lost"] += 1
+                yaw = 0.5 * (box[2:, 0] + box[2:, 1])
+                self.tube.box[i, 2:, 0] = np.minimum(box[2:, 0], yaw - UNKNOWN_YAW)
+                self.tube.box[i, 2:, 1] = np.maximum(box[2:, 1], yaw + UNKNOWN_YAW)
+        self.tube.heading[i] = heading
 
     def _append(self, sample: InertialSample, stamp: Stamp, varied: NDArray[np.float64]) -> int:
         """A node whose tilt is not known yet."""
@@ -91,10 +101,22 @@ class AttitudeChain:
         i = self.tube.push(stamp.earliest_ns, stamp.latest_ns)
         self.tube.effort[i] = effort
         self.tube.box[i, :2] = -UNKNOWN_TILT, UNKNOWN_TILT
-        self.tube.box[i, 2] = -UNKNOWN_YAW, UNKNOWN_YAW
+        self.tube.box[i, 2:] = -UNKNOWN_YAW, UNKNOWN_YAW
         self.tube.swing[i] = 0.0
         self.packets.append(sample, stamp, effort)
         return i
+
+    def bias_since(self, node: int) -> Interval:
+        """Bias of ω_z at any time from a node on."""
+        times = self.tube.times
+        seconds = up((int(times[self.tube.newest, 1]) - int(times[node, 0])) * 1e-9)
+        return widen((self.bias[2, 0], self.bias[2, 1]), up(self.gyro.bias_drift * seconds))
+
+    def yaw_between(self, first: int, last: int, to: int | None = None) -> Interval:
+        """Yaw at all that lies between two nodes less yaw at node `to`, not before them (default: at the first)."""
+        tube, bias = self.tube, self.bias_since(first)
+        start = tube.heading[first if to is None else to]
+        return relative_yaw_between(tube.heading, tube.swing, first, last, start, bias)
 
     # ---------------------------------------------------------------- correct
 
@@ -137,8 +159,8 @@ class AttitudeChain:
             if not excursion((box[0, 0], box[0, 1]), (box[1, 0], box[1, 1]), varied, moved):
                 tube.begin = i + 1
                 break
-            for c in range(3):
-                tube.box[i, c] = widen((box[c, 0], box[c, 1]), moved[c])
+            for c in range(4):
+                tube.box[i, c] = widen((box[c, 0], box[c, 1]), moved[min(c, 2)])
             tube.swing[i + 1] = 0.0  # node i's box holds all that comes between it and the newest
 
     def learn_bias(self, begin_ns: int, end_ns: int, used_until_ns: int) -> None:
@@ -213,9 +235,10 @@ class AttitudeChain:
         i = tube.prepend(time_ns)
         tube.effort[i] = tube.effort[first] - effort
         tube.swing[first] = 0.0  # the new node's box holds all that comes between
-        for c in range(3):
-            limit = UNKNOWN_YAW if c == 2 else UNKNOWN_TILT
-            tube.box[i, c] = widen((box[c, 0], box[c, 1]), moved[c]) if close else (-limit, limit)
+        tube.heading[i] = tube.heading[first] - (0.0, 0.0, up(moved[2]) if close else LOST_YAW)
+        for c in range(4):
+            limit = UNKNOWN_TILT if c < 2 else UNKNOWN_YAW
+            tube.box[i, c] = widen((box[c, 0], box[c, 1]), moved[min(c, 2)]) if close else (-limit, limit)
 
 
 def radians_of(effort: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from drivers.config import EncodersConfig, GpsConfig, ImuConfig
 from drivers.samples import Fix, InertialSample, WheelTicks
 from estimator.anchoring import Anchoring
-from estimator.attitude import AttitudeChain
+from estimator.attitude import EARTH_YAW, AttitudeChain
 from estimator.bounded_pose import Anchor, BoundedPose, Guarantee
 from estimator.config import FilterConfig, RobotConfig
 from estimator.inconsistency import Contradictions
-from estimator.position import PositionChain
+from estimator.position import EARTH, PositionChain
 from estimator.standstill import Standstill
 from estimator.tube import poses_between
 
@@ -157,6 +157,20 @@ class Filter:
         low, high = np.empty((1, 6)), np.empty((1, 6))
         times = np.array([[earliest_ns], [latest_ns]], dtype=np.int64)
         if not self.poses_over(times[0], times[1], low, high):
+            return None
+        return BoundedPose(earliest_ns, latest_ns, low[0], high[0], self.guarantee)
+
+    def pose_on_earth(self, earliest_ns: int, latest_ns: int) -> BoundedPose | None:
+        """The pose during one stretch of time in the anchor's ENU frame; None before a fix, as `pose_over` besides."""
+        if self.anchor is None:
+            return None
+        low, high = np.empty((1, 6)), np.empty((1, 6))
+        times = np.array([[earliest_ns], [latest_ns]], dtype=np.int64)
+        p, t = self._position.tube, self._attitude.tube
+        if poses_between(
+            p.times, p.box, p.swing, p.begin, p.end, t.times, t.box, t.swing, t.begin, t.end,
+            times[0], times[1], low, high, EARTH.start, EARTH_YAW,
+        ):  # fmt: skip
             return None
         return BoundedPose(earliest_ns, latest_ns, low[0], high[0], self.guarantee)
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from drivers.compiled import compiled
 from estimator.frames import Box3, forward_axis, largest, left_axis, up_axis
 from estimator.interval import (
+    ULP,
     Interval,
     add,
     cosine,
@@ -98,6 +99,7 @@ def rotate(
     bounds: GyroBounds,
     turned: NDArray[np.float64],
     varied: NDArray[np.float64],
+    plain: NDArray[np.float64],
 ) -> bool:
     """Integrals of the body rates over a step of [time_low, time_high] seconds: intervals `turned` and `varied`.
 
@@ -105,14 +107,19 @@ def rotate(
     [3, 2], varied [3]. With `gap` the packet's mean covers only the last part of the step, P of T seconds: it is the
     rate at some instant s of that part, so the rest of the integral is off by at most the integral of a |s - t|, which
     is a (T^2 - P^2) / 2 or less. False if an axis turns faster than declared.
+
+    plain [5]: the integral of ω_z is in [plain 0, plain 1] - bias * [plain 2, plain 3], plain 4 = largest |bias|; where
+    the packet says nothing of it, that is `turned` and no time.
     """
     sound = True
+    error = 0.0
     most = up(bounds.most_rate * time_high)
     aged = up(bounds.bias_drift * time_high)
     for i in range(3):
         bias[i, 0] = max(down(bias[i, 0] - aged), -bounds.most_bias)
         bias[i, 1] = min(up(bias[i, 1] + aged), bounds.most_bias)
         net = (-most, most)
+        told = False
         if rate[i] == rate[i]:
             free = outward_sub(rate[i], bias[i, 0], bias[i, 1])
             true = up(up(mag(free) + bounds.noise) / down(1.0 - bounds.scale))
@@ -124,6 +131,14 @@ def rotate(
                 sound = False
             else:
                 net = measured
+                told = not gap
+        if i == 2:
+            plain[0], plain[1] = net
+            plain[2] = plain[3] = 0.0
+            plain[4] = mag((bias[i, 0], bias[i, 1]))
+            if told:
+                plain[0], plain[1] = mul(widen((rate[i], rate[i]), error), (time_low, time_high))
+                plain[2], plain[3] = time_low, time_high
         turned[i, 0], turned[i, 1] = net
         varied[i] = min(variation(net, 0.0, bounds.most_acceleration, time_high), most)
     return sound
@@ -186,11 +201,15 @@ def turn(
     turned: NDArray[np.float64],
     varied: NDArray[np.float64],
     swing: NDArray[np.float64],
+    plain: NDArray[np.float64],
+    heading: NDArray[np.float64],
 ) -> bool:
-    """One step of (roll, pitch, yaw), attitude [3, 2] in place (SMF equation 1); False if it can't be enclosed.
+    """One step of (roll, pitch, yaw, yaw...), attitude [c, 2] in place (SMF equation 1); False if it can't be enclosed.
 
-    swing [3]: how far an angle can go beyond the hull of its two ends inside the step. A path of variation V and net
-    change D leaves the hull of its ends by at most (V - |D|) / 2.
+    Yaw may be counted from several directions: each row from the third on is one, and all change alike. swing [c]: how
+    far an angle can go beyond the hull of its two ends inside the step. A path of variation V and net change D leaves
+    the hull of its ends by at most (V - |D|) / 2. heading [3] goes on by the same step, see `relative_yaw`; `plain` is
+    what `rotate` says.
     """
     roll = (attitude[0, 0], attitude[0, 1])
     pitch = (attitude[1, 0], attitude[1, 1])
@@ -207,12 +226,61 @@ def turn(
     secant_z = divide(cf, ct)
     droll = add(wx, add(weighted(mul(st, secant_y), wy, varied[1]), weighted(mul(st, secant_z), wz, varied[2])))
     dpitch = add(weighted(cf, wy, varied[1]), weighted(neg(sf), wz, varied[2]))
-    dyaw = add(weighted(secant_y, wy, varied[1]), weighted(secant_z, wz, varied[2]))
+    sideways = weighted(secant_y, wy, varied[1])
+    dyaw = add(sideways, weighted(secant_z, wz, varied[2]))
     step = (droll, dpitch, dyaw)
-    for i in range(3):
-        attitude[i, 0], attitude[i, 1] = add((attitude[i, 0], attitude[i, 1]), step[i])
-        swing[i] = max(0.0, up(0.5 * (swing[i] - mig(step[i]))))
+    swung = swing[2]
+    for i in range(len(attitude)):
+        attitude[i, 0], attitude[i, 1] = add((attitude[i, 0], attitude[i, 1]), step[min(i, 2)])
+        swing[i] = max(0.0, up(0.5 * ((swing[i] if i < 2 else swung) - mig(step[min(i, 2)]))))
+    go_on(heading, sideways, secant_z, plain, varied[2])
     return True
+
+
+@compiled
+def go_on(
+    heading: NDArray[np.float64], sideways: Interval, secant: Interval, plain: NDArray[np.float64], varied: float
+) -> None:
+    """heading [3] a step further: yaw changed by [sideways] + integral of [secant] ω_z, with ω_z as `plain` says."""
+    c = mid(secant)
+    change = widen(add(sideways, scale(c, (plain[0], plain[1]))), up(reach(secant, c) * varied))
+    seconds = 0.5 * (plain[2] + plain[3])
+    nominal = mid(change)
+    error = up(reach(change, nominal) + up(up(abs(c) * up(plain[3] - plain[2])) * plain[4]))
+    heading[0] += nominal
+    heading[1] -= c * seconds
+    rounding = ULP * (abs(heading[0]) + abs(heading[1]) * plain[4])
+    heading[2] = up(heading[2] + up(error + 4.0 * rounding))
+
+
+@compiled
+def relative_yaw(of: NDArray[np.float64], to: NDArray[np.float64], bias: Interval) -> Interval:
+    """Yaw at one gyro node less yaw at another, from their headings (N, τ, ρ): N + τ bias ± ρ.
+
+    Each is a sum from the beginning (SMF section 7.1): N of the changes as measured, τ of their derivatives with
+    respect to the bias of ω_z, ρ of the half-widths of all other errors. `bias` is [b] over all of the time between.
+    """
+    return widen(add(outward(of[0] - to[0], of[0] - to[0]), scale(of[1] - to[1], bias)), up(abs(of[2] - to[2])))
+
+
+@compiled
+def relative_yaw_between(
+    heading: NDArray[np.float64],
+    swing: NDArray[np.float64],
+    first: int,
+    last: int,
+    to: NDArray[np.float64],
+    bias: Interval,
+) -> Interval:
+    """Hull of the relative yaw over all that lies between the gyro nodes first..last; headings [n, 3], swing [n, c]."""
+    low, high = relative_yaw(heading[first], to, bias)
+    before = (low, high)
+    for i in range(first + 1, last + 1):
+        after = relative_yaw(heading[i], to, bias)
+        low = min(low, down(min(before[0], after[0]) - swing[i, 2]))
+        high = max(high, up(max(before[1], after[1]) + swing[i, 2]))
+        before = after
+    return low, high
 
 
 @compiled
@@ -297,4 +365,43 @@ def travel(
         swing[i] = max(0.0, up(0.5 * (varied - mig(alone))))
         axis[i] = c
         pending[i] = up(q_now * abs(c))
+    return True
+
+
+@compiled
+def travel_in_all_frames(
+    attitude: NDArray[np.float64],
+    local_yaw: Interval,
+    left: float,
+    right: float,
+    counted: bool,
+    time_high: float,
+    turning: float,
+    turning_telescoped: float,
+    bounds: TrackBounds,
+    axis: NDArray[np.float64],
+    first: bool,
+    core: NDArray[np.float64],
+    net: NDArray[np.float64],
+    swing: NDArray[np.float64],
+    pending: NDArray[np.float64],
+) -> bool:
+    """`travel` of one step in the map, on Earth, and along its own heading: rows 0..2, 3..5, 6..8 of axis to pending.
+
+    attitude [4, 2]: roll, pitch, yaw in the map, yaw on Earth. In the local frame the step stands alone.
+    """
+    core[6:] = 0.0
+    rows = np.empty((3, 2))
+    rows[:2] = attitude[:2]
+    for frame in range(3):
+        i = 3 * frame
+        if frame < 2:
+            rows[2] = attitude[2 + frame]
+        else:
+            rows[2, 0], rows[2, 1] = local_yaw
+        if not travel(
+            rows, left, right, counted, time_high, turning, turning_telescoped, bounds, axis[i : i + 3],
+            first or frame == 2, core[i : i + 3], net[i : i + 3], swing[i : i + 3], pending[i : i + 3],
+        ):  # fmt: skip
+            return False
     return True

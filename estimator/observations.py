@@ -200,3 +200,34 @@ def anchored_by_all(
     for i in range(count):
         agree = agree and anchored(antennas[i], anchor, points[i])
     return agree
+
+
+@compiled
+def tied(anchor: NDArray[np.float64], yaws: NDArray[np.float64], box: NDArray[np.float64]) -> bool:
+    """Contract anchor [4, 2], yaws [2, 2] and box [6, 2] (each in the map, then on Earth) by each other.
+
+    The pose on Earth is the anchor's times the pose in the map: p_E = t + Rz(Ψ) p, ψ_E = Ψ + ψ.
+    """
+    own, earth = (yaws[0, 0], yaws[0, 1]), (yaws[1, 0], yaws[1, 1])
+    psi = nearest_copy((anchor[3, 0], anchor[3, 1]), sub(earth, own))
+    if is_empty(psi):
+        return False
+    anchor[3, 0], anchor[3, 1] = psi
+    if not anchored(box[3:], anchor, box[:3]):
+        return False
+    psi = (anchor[3, 0], anchor[3, 1])
+    earth = nearest_copy(earth, add(psi, own))
+    own = nearest_copy(own, sub(earth, psi))
+    if is_empty(own) or is_empty(earth):
+        return False
+    yaws[0, 0], yaws[0, 1] = own
+    yaws[1, 0], yaws[1, 1] = earth
+    # the other way round: the place on Earth from that in the map
+    x, y = turned(psi, (box[0, 0], box[0, 1]), (box[1, 0], box[1, 1]))
+    moved = (x, y, (box[2, 0], box[2, 1]))
+    for c in range(3):
+        seen = meet((box[3 + c, 0], box[3 + c, 1]), add((anchor[c, 0], anchor[c, 1]), moved[c]))
+        if is_empty(seen):
+            return False
+        box[3 + c, 0], box[3 + c, 1] = seen
+    return True

@@ -1,4 +1,4 @@
-"""The position chain: a box of (x, y, z) at the true time of each encoder reading."""
+"""The position chain: a box of (x, y, z), in the map and on Earth, at the true time of each encoder reading."""
 
 from collections import Counter
 from math import nan
@@ -6,14 +6,21 @@ from math import nan
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.compiled import compiled
 from drivers.config import EncodersConfig
 from drivers.samples import WheelTicks
 from estimator.attitude import UNKNOWN_TILT, UNKNOWN_YAW, AttitudeChain
 from estimator.config import FilterConfig, RobotConfig
+from estimator.gps_window import GpsWindow
 from estimator.inconsistency import Contradictions
-from estimator.interval import down, hull, meet, mig, up, widen
-from estimator.motion import QUANTUM, TrackBounds, travel
+from estimator.interval import meet, up, widen
+from estimator.motion import QUANTUM, TrackBounds, travel_in_all_frames
 from estimator.tube import Tube
+
+MAP, EARTH, LOCAL = slice(0, 3), slice(3, 6), slice(6, 9)
+"""Rows of what a step is followed with: in the map, on Earth (east, north, up), and along its own heading."""
+ANYWHERE_M = 1e8
+UNKNOWN_ATTITUDE = np.array([[-UNKNOWN_TILT, UNKNOWN_TILT]] * 2 + [[-UNKNOWN_YAW, UNKNOWN_YAW]] * 2)
 
 
 class PositionChain:
@@ -41,14 +48,18 @@ class PositionChain:
             most_track_acceleration=(robot.max_acceleration_mps2 + half_gauge * attitude.gyro.most_acceleration)
             / max(1.0 - robot.slip_ratio, 0.1),
         )
+        self.quantum = up(0.5 * up(self.tracks.quantum_left + self.tracks.quantum_right))
+        """How far the mean of two differences of counts is off, in metres."""
         self._left_m, self._right_m = encoders.left_metres_per_tick, encoders.right_metres_per_tick
         self._attitude = attitude
         self._counts, self._contradictions = counts, contradictions
-        self.tube = Tube(int(config.history_s * 1e9))
+        self.tube = Tube(int(config.history_s * 1e9), coordinates=6)
+        self.window = GpsWindow(attitude.gyro.bias_drift)
+        """The way since the fixes that are remembered."""
         self.last_ticks: WheelTicks | None = None
-        self._core = np.zeros((3, 2))  # see motion.travel
-        self._axis = np.zeros(3)
-        self._pending_quantum = np.zeros(3)
+        self._core = np.zeros((9, 2))  # see motion.travel
+        self._axis, self._pending = np.zeros(9), np.zeros(9)
+        self._net, self._swing = np.zeros((9, 2)), np.zeros(9)
         self._fresh_count = True
         self._turned_until = 0  # effort of the gyro node after the newest reading
 
@@ -59,83 +70,88 @@ class PositionChain:
             return False
         turns = self._attitude.tube
         i = self.tube.push(ticks.stamp.earliest_ns, ticks.stamp.latest_ns)
-        self.tube.box[i] = self.tube.net[i] = self.tube.swing[i] = 0.0
+        self.tube.box[i, EARTH] = -ANYWHERE_M, ANYWHERE_M
         self._turned_until = int(turns.effort[nodes[1], 2])
-        slack = up(self.tracks.turning_centre * (turns.effort[nodes[1], 2] - turns.effort[nodes[0], 2]) * QUANTUM)
-        self._core[:] = -slack, slack
+        slack = self.turned_around(nodes[0])
+        self._core[MAP] = -slack, slack
+        self._core[EARTH] = -ANYWHERE_M, ANYWHERE_M
         self.last_ticks = ticks
         return True
 
     def predict(self, ticks: WheelTicks) -> None:
         """travel: one node further, at the true time of this encoder reading."""
-        stamp, tube = ticks.stamp, self._attitude.tube
-        last = self.last_ticks
+        last, places, turns = self.last_ticks, self.tube, self._attitude.tube
         assert last is not None, "begin comes first"
-        time_high = up((stamp.latest_ns - int(self.tube.times[self.tube.newest, 0])) * 1e-9)
-        a, b = tube.before(int(self.tube.times[self.tube.newest, 0])), tube.after(stamp.latest_ns)
-        covered = a >= tube.begin
-        turning = up(self._attitude.gyro.most_rate * time_high)
-        telescoped = turning
-        attitude = np.array([[-UNKNOWN_TILT, UNKNOWN_TILT]] * 2 + [[-UNKNOWN_YAW, UNKNOWN_YAW]])
-        until = max(self._turned_until, int(tube.effort[b, 2]))
-        if covered:
-            attitude = tube.hull(a, b)
-            turning = min(turning, (tube.effort[b, 2] - tube.effort[a, 2]) * QUANTUM)
-            telescoped = (until - self._turned_until) * QUANTUM
+        began_ns = int(places.times[places.newest, 0])
+        time_high = up((ticks.stamp.latest_ns - began_ns) * 1e-9)
+        a, b = turns.before(began_ns), turns.after(ticks.stamp.latest_ns)
+        until = max(self._turned_until, int(turns.effort[b, 2]))
+        turning, telescoped = up(self._attitude.gyro.most_rate * time_high), (until - self._turned_until) * QUANTUM
+        if a >= turns.begin:
+            attitude, local_yaw = turns.hull(a, b), self._attitude.yaw_between(a, b)
+            turning = min(turning, (turns.effort[b, 2] - turns.effort[a, 2]) * QUANTUM)
         else:
             self._counts["attitude_history_missed"] += 1
-            telescoped = up(turning + (until - self._turned_until) * QUANTUM)
-        net, swing = np.empty((3, 2)), np.empty(3)
+            a, attitude, local_yaw = b, UNKNOWN_ATTITUDE, (-UNKNOWN_YAW, UNKNOWN_YAW)
+            telescoped = up(turning + telescoped)
         counted = ticks.epoch == last.epoch
-        step = (
-            (ticks.left - last.left) * self._left_m if counted else nan,
-            (ticks.right - last.right) * self._right_m if counted else nan,
-        )
+        left = (ticks.left - last.left) * self._left_m if counted else nan
+        right = (ticks.right - last.right) * self._right_m if counted else nan
 
         def go(counted: bool) -> bool:
-            return travel(
-                attitude, *step, counted, time_high, turning, telescoped, self.tracks,
-                self._axis, self._fresh_count, self._core, net, swing, self._pending_quantum,
+            return travel_in_all_frames(
+                attitude, local_yaw, left, right, counted, time_high, turning, telescoped, self.tracks, self._axis,
+                self._fresh_count, self._core, self._net, self._swing, self._pending,
             )  # fmt: skip
 
         if not go(counted):
-            self._contradictions.report("encoders", stamp.mid_ns)
+            self._contradictions.report("encoders", ticks.stamp.mid_ns)
             counted = go(False) and False
         self._fresh_count = not counted
         self._turned_until = until
         self.last_ticks = ticks
-        i = self.tube.push(stamp.earliest_ns, stamp.latest_ns)
-        self.tube.net[i], self.tube.swing[i] = net, swing
-        for c in range(3):
-            self.tube.box[i, c] = widen((self._core[c, 0], self._core[c, 1]), self._pending_quantum[c])
+        i = places.push(ticks.stamp.earliest_ns, ticks.stamp.latest_ns)
+        places.net[i], places.swing[i] = self._net[MAP], self._swing[:6]
+        places.local[i, :, :2], places.local[i, :, 2], places.heading[i] = (
+            self._net[LOCAL],
+            self._swing[LOCAL],
+            turns.heading[a],
+        )
+        surround(self._core, self._pending, places.box[i])
+        self.window.extend(
+            self._core[LOCAL], self._axis[LOCAL], turns.heading[a], self.quantum, self._attitude.bias[2],
+            int(turns.times[turns.newest, 1]) * 1e-9,
+        )  # fmt: skip
 
     def contract(self, narrowed: NDArray[np.float64]) -> None:
-        """The newest node's box is inside narrowed [3, 2]."""
+        """The newest node's box is inside narrowed [6, 2]."""
         n, turns = self.tube.newest, self._attitude.tube
-        here = self.tube.box[n]
-        here[:] = narrowed
-        # what is still to come after node n, see motion.travel: the count's error, and the turning around the node
+        self.tube.box[n] = narrowed
         m = turns.before(int(self.tube.times[n, 0]))
-        if m < turns.begin:
-            return
-        slack = up(self.tracks.turning_centre * (self._turned_until - int(turns.effort[m, 2])) * QUANTUM)
-        for c in range(3):
-            future = widen((here[c, 0], here[c, 1]), up(self._pending_quantum[c] + slack))
-            self._core[c] = meet((self._core[c, 0], self._core[c, 1]), future)
+        if m >= turns.begin:
+            foresee(narrowed, self._pending, self.turned_around(m), self._core)
 
-    def travelled_since(self, i: int, j: int, n: int) -> NDArray[np.float64]:
-        """[3, 2] p_n - p(τ) for any τ between the nodes i and j: j to n by its net, i to j by its variation."""
-        net = self.tube.net
-        out = np.zeros((3, 2))
-        for c in range(3):
-            total, variation = (0.0, 0.0), 0.0
-            for k in range(i + 1, j + 1):
-                step = (net[k, c, 0], net[k, c, 1])
-                total = down(total[0] + step[0]), up(total[1] + step[1])
-                variation = up(variation + up(2.0 * self.tube.swing[k, c] + mig(step)))
-            total = meet(total, (-variation, variation))
-            inside = widen(hull((0.0, 0.0), total), up(0.5 * max(0.0, variation - mig(total))))
-            for k in range(j + 1, n + 1):
-                inside = down(inside[0] + net[k, c, 0]), up(inside[1] + net[k, c, 1])
-            out[c] = inside
-        return out
+    def remember(self) -> None:
+        """Keep the fix last given to the window, if the way since the one before is long enough."""
+        around = self._attitude.tube.before(int(self.tube.times[self.tube.newest, 0]))
+        self.window.remember(self._attitude.bias[2], self.turned_around(around), self.quantum)
+
+    def turned_around(self, before: int) -> float:
+        """How far the turning centre may have moved (m) between gyro node `before` and the end of the newest step."""
+        turned = (self._turned_until - int(self._attitude.tube.effort[before, 2])) * QUANTUM
+        return up(self.tracks.turning_centre * turned)
+
+
+@compiled
+def surround(core: NDArray[np.float64], pending: NDArray[np.float64], box: NDArray[np.float64]) -> None:
+    """box [6, 2]: where the newest node is; what is still to come is undone."""
+    for c in range(len(box)):
+        box[c, 0], box[c, 1] = widen((core[c, 0], core[c, 1]), pending[c])
+
+
+@compiled
+def foresee(box: NDArray[np.float64], pending: NDArray[np.float64], turning: float, core: NDArray[np.float64]) -> None:
+    """core [9, 2] is inside the newest box and what is still to come after it: the count's error, and the turning."""
+    for c in range(len(box)):
+        future = widen((box[c, 0], box[c, 1]), up(pending[c] + turning))
+        core[c, 0], core[c, 1] = meet((core[c, 0], core[c, 1]), future)

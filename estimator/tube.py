@@ -1,6 +1,6 @@
 """The recent past as a tube: boxes at nodes whose true times are known as intervals, and all that lies between.
 
-A node is an instant (of a gyro packet, of an encoder reading) inside [earliest, latest], with a box for three
+A node is an instant (of a gyro packet, of an encoder reading) inside [earliest, latest], with a box for some
 coordinates then; `swing` says how far a coordinate can leave the hull of two neighbouring boxes between them. The
 true order of nodes is the order of their numbers, so their stamps are kept rising.
 """
@@ -15,15 +15,19 @@ from estimator.interval import down, up
 class Tube:
     """Nodes [begin, end) of growing arrays; the oldest are let go when they are older than the history."""
 
-    def __init__(self, history_ns: int, capacity: int = 4096) -> None:
+    def __init__(self, history_ns: int, capacity: int = 4096, coordinates: int = 3) -> None:
         self._history_ns = history_ns
         self.times = np.zeros((capacity, 2), dtype=np.int64)
         """[n, 2] earliest, latest."""
-        self.box = np.zeros((capacity, 3, 2))
-        self.swing = np.zeros((capacity, 3))
-        """[n, 3] of the step that ends at the node."""
+        self.box = np.zeros((capacity, coordinates, 2))
+        self.swing = np.zeros((capacity, coordinates))
+        """[n, c] of the step that ends at the node."""
         self.net = np.zeros((capacity, 3, 2))
-        """[n, 3, 2] encloses the change over the step that ends at the node (positions only)."""
+        """[n, 3, 2] encloses the change over the step that ends at the node, in the map (positions only)."""
+        self.local = np.zeros((capacity, 3, 3))
+        """[n, 3, 3] low, high and swing of the same, seen along the heading of the step (positions only)."""
+        self.heading = np.zeros((capacity, 3))
+        """[n, 3] the heading up to here (attitudes), or the one of the step (positions); see motion.relative_yaw."""
         self.effort = np.zeros((capacity, 3), dtype=np.int64)
         """[n, 3] variation of the body rates from the beginning to here, in QUANTUM (attitudes only)."""
         self.begin = 1
@@ -69,7 +73,7 @@ class Tube:
         first = min(self.begin + max(keep - 1, 0), self.end - 1)
         size = self.end - first
         capacity = len(self.times) * (2 if size > len(self.times) // 2 else 1)
-        for name in ("times", "box", "swing", "net", "effort"):
+        for name in ("times", "box", "swing", "net", "local", "heading", "effort"):
             old = getattr(self, name)
             new = np.zeros((capacity, *old.shape[1:]), dtype=old.dtype)
             new[1 : size + 1] = old[first : self.end]
@@ -89,8 +93,8 @@ class Tube:
         return self.end > self.begin and int(self.times[self.end - 1, 0]) >= time_ns
 
     def hull(self, first: int, last: int) -> NDArray[np.float64]:
-        """[3, 2] all that the coordinates can be from node `first` to node `last`."""
-        out = np.empty((3, 2))
+        """[c, 2] all that the coordinates can be from node `first` to node `last`."""
+        out = np.empty(self.box.shape[1:])
         hull_between(self.box, self.swing, first, last, out)
         return out
 
@@ -128,7 +132,7 @@ def hull_between(
     box: NDArray[np.float64], swing: NDArray[np.float64], first: int, last: int, out: NDArray[np.float64]
 ) -> None:
     """Hull of the nodes first..last and of the steps between them, with their swings."""
-    for c in range(3):
+    for c in range(len(out)):
         low = box[first, c, 0]
         high = box[first, c, 1]
         for i in range(first + 1, last + 1):
@@ -155,10 +159,16 @@ def poses_between(
     latest_ns: NDArray[np.int64],
     low: NDArray[np.float64],
     high: NDArray[np.float64],
+    place: int = 0,
+    yaw: int = 2,
 ) -> int:
-    """Pose boxes over m stretches of time; how many could not be given (their rows are NaN)."""
+    """Pose boxes over m stretches of time; how many could not be given (their rows are NaN).
+
+    x, y, z are the coordinates from `place` on; roll and pitch the first two of the turns, yaw the one named.
+    """
     missing = 0
-    out = np.empty((3, 2))
+    where = np.empty(place_box.shape[1:])
+    how = np.empty(turn_box.shape[1:])
     for k in range(len(earliest_ns)):
         i = last_not_after(places, place_begin, place_end, earliest_ns[k])
         j = first_not_before(places, place_begin, place_end, latest_ns[k])
@@ -169,10 +179,12 @@ def poses_between(
             low[k, :] = np.nan
             high[k, :] = np.nan
             continue
-        hull_between(place_box, place_swing, i, j, out)
-        low[k, :3] = out[:, 0]
-        high[k, :3] = out[:, 1]
-        hull_between(turn_box, turn_swing, a, b, out)
-        low[k, 3:] = out[:, 0]
-        high[k, 3:] = out[:, 1]
+        hull_between(place_box, place_swing, i, j, where)
+        hull_between(turn_box, turn_swing, a, b, how)
+        for c in range(3):
+            low[k, c] = where[place + c, 0]
+            high[k, c] = where[place + c, 1]
+            angle = c if c < 2 else yaw
+            low[k, 3 + c] = how[angle, 0]
+            high[k, 3 + c] = how[angle, 1]
     return missing

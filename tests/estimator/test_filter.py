@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from drivers.compiled import compiled
 from drivers.config import EncodersConfig, GpsConfig, ImuConfig
 from drivers.samples import Fix, InertialSample, Stamp, WheelTicks
+from estimator.bounded_pose import BoundedPose
 from estimator.config import FilterConfig, RobotConfig
 from estimator.filter import Filter
 
@@ -304,6 +305,8 @@ class Outcome:
     violations: int
     width: NDArray[np.float64]
     """[6] half-widths at the end."""
+    width_on_earth: NDArray[np.float64]
+    """[6] largest half-widths of the last half."""
 
 
 def follow(
@@ -317,6 +320,7 @@ def follow(
     checked = violations = 0
     next_index = 1
     width = np.full(6, np.inf)
+    on_earth: list[NDArray[np.float64]] = []
     for count, sample in enumerate(world.samples):
         pose.accept(sample)
         if count % 40 or pose.horizon_ns is None or pose.oldest_ns is None:
@@ -339,7 +343,27 @@ def follow(
         violations += int((~inside).sum())
         next_index = last
         width = 0.5 * (high[-1] - low[-1])
-    return Outcome(pose, checked, violations, width)
+        earth = pose.pose_on_earth(int(times[-1]), int(times[-1]))
+        if earth is not None:
+            checked += 6
+            violations += 6 - int(on_earth_holds(pose, world, last - 1, earth).sum())
+            on_earth.append(0.5 * (earth.high - earth.low))
+    widest = np.max(on_earth[len(on_earth) // 2 :], axis=0) if on_earth else np.full(6, np.inf)
+    return Outcome(pose, checked, violations, width, widest)
+
+
+def on_earth_holds(pose: Filter, world: World, index: int, earth: BoundedPose) -> NDArray[np.bool_]:
+    """[6] is the true pose in the anchor's ENU frame inside? Yaw counts modulo whole turns."""
+    anchor = pose.anchor
+    assert anchor is not None
+    true = world.pose[index]
+    enu = world.place[:3] + rotation(0.0, 0.0, world.place[3]) @ true[:3]
+    origin = anchor.origin_lat_deg, anchor.origin_lon_deg, anchor.origin_alt_m
+    seen = np.array([*pymap3d.geodetic2enu(*pymap3d.enu2geodetic(*enu, *HOME), *origin), *true[3:]])
+    seen[5] += world.place[3]
+    seen[5] += 2 * pi * np.ceil((earth.low[5] - seen[5]) / (2 * pi))
+    inside = (earth.low - 1e-6 <= seen) & (seen <= earth.high + 1e-6)
+    return np.asarray(inside)
 
 
 @pytest.mark.parametrize("script", ["wander", "spin", "shake", "straight"])
@@ -440,6 +464,15 @@ def test_a_drive_with_centimetre_gps_stays_tight() -> None:
     assert width[2] < 0.15
     assert np.degrees(width[3:5]).max() < 0.5
     assert np.degrees(width[5]) < 3.0
+
+
+def test_on_earth_yaw_and_place_stay_bounded_however_far_the_robot_drives() -> None:
+    """With GPS of five centimetres they are no wider at the end of a long drive than soon after its beginning."""
+    outcome = follow(World(11, mode="constant", seconds=150.0))
+    assert outcome.violations == 0
+    assert outcome.filter.guarantee.intact
+    assert outcome.width_on_earth[:2].max() < 0.25
+    assert np.degrees(outcome.width_on_earth[5]) < 20.0
 
 
 def test_a_stretch_of_time_holds_the_whole_way() -> None:

@@ -81,7 +81,7 @@ def test_a_turn_encloses_whatever_the_rates_do_inside_the_step(time: float) -> N
                 low = area[k, axis] - random.choice([0.0, 1.0]) * error
                 turned[axis] = low - 1e-12, low + error + 1e-12
                 varied[axis] = variation((turned[axis, 0], turned[axis, 1]), 0.0, ALPHA, time)
-            assert turn(after, turned, varied, swing)
+            assert turn(after, turned, varied, swing, np.zeros(5), np.zeros(3))
             assert np.all(after[:, 0] <= path[-1, k] + 1e-9)
             assert np.all(path[-1, k] - 1e-9 <= after[:, 1])
             low, high = np.minimum(path[0, k], path[-1, k]), np.maximum(path[0, k], path[-1, k])
@@ -123,7 +123,7 @@ def test_excursions_are_never_exceeded() -> None:
 def test_an_attitude_too_steep_for_euler_rates_is_refused() -> None:
     """Near the gimbal lock the step says so instead of giving a wrong box."""
     box = np.array([[-0.1, 0.1], [1.3, 1.45], [0.0, 0.0]])
-    assert not turn(box, np.zeros((3, 2)), np.full(3, 0.01), np.empty(3))
+    assert not turn(box, np.zeros((3, 2)), np.full(3, 0.01), np.empty(3), np.zeros(5), np.zeros(3))
 
 
 def test_the_mean_rate_is_enclosed_for_all_errors_at_their_corners() -> None:
@@ -137,7 +137,7 @@ def test_the_mean_rate_is_enclosed_for_all_errors_at_their_corners() -> None:
         measured = true * (1 + scale) + bias + noise
         measured[0] = np.nan
         turned, varied = np.empty((3, 2)), np.empty(3)
-        assert rotate(measured, box, 0.005, 0.0051, False, GYRO, turned, varied)
+        assert rotate(measured, box, 0.005, 0.0051, False, GYRO, turned, varied, np.empty(5))
         for time in (0.005, 0.0051):
             assert np.all(turned[:, 0] <= true * time)
             assert np.all(true * time <= turned[:, 1])
