@@ -15,6 +15,9 @@ class MapConfig:
     resolution_m: Annotated[float, Field(ge=0.005, le=10.0)]
     """Side of a cell."""
     max_tiles: Annotated[int, Field(ge=16, le=1_000_000)] = 4096
-    """Memory cap, in tiles of 64 x 64 cells (32 KiB each); what falls outside is counted, not mapped."""
+    """Memory cap, in tiles of 64 x 64 cells (33 KiB each). With a store, the farthest tiles leave for it well before;
+    otherwise what falls outside is counted, not mapped."""
+    rolling: bool = False
+    """Without a store: forget the tiles farthest from the robot instead, and count them."""
     max_footprint_m: Positive = 3.0
     """A beam whose footprint is wider than this tells too little: it is skipped and counted."""

@@ -41,6 +41,7 @@ from service.publisher import MAP_FRAME
 from service.session import open_session, session_config
 from service.topics import (
     ANCHOR,
+    ANCHOR_OF,
     DIGEST,
     HEALTH,
     INFO,
@@ -49,6 +50,7 @@ from service.topics import (
     ROOT,
     parse_tile_key,
     split_key,
+    submap_of_anchor,
     tile_key,
     topic_key,
 )
@@ -62,6 +64,8 @@ WINDOW = 16
 GET_TIMEOUT_S = 5.0
 FIRST_RETRY_S, LAST_RETRY_S = 0.2, 1.0
 MAX_LATENCIES = 100_000
+LISTING = (INFO, ANCHOR, ANCHOR_OF, HEALTH, DIGEST)
+"""What a late joiner asks for, in this order."""
 
 
 class RemoteMap:
@@ -87,6 +91,9 @@ class RemoteMap:
         """Does the robot's liveliness token stand?"""
         self.pose: BoundedPose | None = None
         self.anchor: Anchor | None = None
+        """Of the submap that is being mapped."""
+        self.anchors: dict[int, Anchor] = {}
+        """Of each submap, also of those that earlier runs left, as last asked for."""
         self.health: Mapping[str, Any] = {}
         self.info: Mapping[str, Any] = {}
         self._locators = [locators] if isinstance(locators, str) else list(locators)
@@ -229,13 +236,15 @@ class RemoteMap:
             return {"tiles": len(self._tiles), **counts}
 
     def save(self, path: Path, submap: int | None = None) -> None:
-        """Write the copy as `.npz`: one submap, the newest unless another is asked for."""
+        """Write the copy as `.npz`: one submap, the newest unless another is asked for, with its own anchor."""
         tiles = list(self.tiles.values())
         numbers = {tile.submap for tile in tiles}
         chosen = max(numbers, default=0) if submap is None else submap
         tiles = [tile for tile in tiles if tile.submap == chosen]
         resolution_m = tiles[0].resolution_m if tiles else self._announced_resolution_m()
-        place = "" if self.anchor is None else write_anchor(self.anchor).decode()
+        mapped_now = self.info.get("submap", max(numbers, default=0))
+        anchor = self.anchor if chosen == mapped_now else self.anchors.get(chosen)
+        place = "" if anchor is None else write_anchor(anchor).decode()
         save(assemble(tiles, resolution_m, MAP_FRAME, place), path)
 
     def _announced_resolution_m(self) -> float:
@@ -334,6 +343,8 @@ class RemoteMap:
                 self._guarantee = self.pose.guarantee
         elif name == ANCHOR.name:
             self.anchor = read_anchor(payload)
+        elif (submap := submap_of_anchor(name)) is not None:
+            self.anchors[submap] = read_anchor(payload)
         elif name == HEALTH.name:
             self.health = read_plain(payload)
         elif name == INFO.name:
@@ -348,7 +359,7 @@ class RemoteMap:
         tile, note = self._read_tile(key, sample)
         with self._changed:
             self._enter_epoch(note.epoch)
-            self._guarantee = guarantee_from(note.guarantee)
+            self._take_guarantee(tile, note)
             if note.released_ns is not None:
                 self._latencies_ns.append(now_ns - note.released_ns)
             self._join(tile)
@@ -374,6 +385,11 @@ class RemoteMap:
         if old is not None and old.resolution_m != tile.resolution_m:
             raise MalformedMessage("a tile of another resolution")
         self._set(place, tile if old is None else join(old, tile))
+
+    def _take_guarantee(self, tile: Tile, note: TileNote) -> None:
+        """What a tile of the newest submap says of the bounds; earlier runs are over, and had their own."""
+        if tile.submap >= max((place.submap for place in self._tiles), default=0):
+            self._guarantee = guarantee_from(note.guarantee)
 
     def _set(self, place: TileId, tile: Tile) -> None:
         self._tiles[place] = tile
@@ -470,7 +486,7 @@ class RemoteMap:
 
     def _bring_listing(self, session: zenoh.Session, robot: str) -> None:
         """Ask for what a late joiner missed: info, anchor, health, and last a digest with all entries."""
-        asked = [(topic, self._ask(session, topic_key(robot, topic))) for topic in (INFO, ANCHOR, HEALTH, DIGEST)]
+        asked = [(topic, self._ask(session, topic_key(robot, topic))) for topic in LISTING]
         for topic, answers in asked:
             for sample in self._answers(answers):
                 # A robot that knows no place yet has no anchor to tell; whoever answers at all has been asked for it.
@@ -494,7 +510,7 @@ class RemoteMap:
             with self._changed:
                 if note.epoch != self._epoch:
                     return
-                self._guarantee = guarantee_from(note.guarantee)
+                self._take_guarantee(tile, note)
                 listed = self._stale.pop(place, None)
                 self.counts["repaired"] += 1
                 old = self._tiles.get(place)

@@ -38,6 +38,12 @@ class StoreConfig:
     map: str | None = None
     """`.npz` that is written at the end of a run and every `period_s`; None: the map lives in memory alone."""
     period_s: Annotated[Positive, Field(ge=1.0)] = 30.0
+    path: str | None = None
+    """Database that holds the map safe against kill -9 and power cuts (docs/store.md); None: no store."""
+    interval_s: Annotated[float, Field(ge=0.1, le=60.0)] = 1.0
+    """One transaction this often: what a crash can cost."""
+    earlier_submaps: Annotated[int, Field(ge=0, le=100)] = 4
+    """How many maps of earlier runs, each in its own frame, are published beside the present one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

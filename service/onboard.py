@@ -14,14 +14,18 @@ from drivers.capture import CaptureWriter
 from drivers.clock import Clock
 from drivers.errors import CaptureError, TerraboundError
 from estimator.bounded_pose import BoundedPose
+from mapper.tile import Tile, join
 from service.config import LoadedConfig
 from service.devices import Device, can_frames, wiring
 from service.health import Health
 from service.map_file import save_map
+from service.map_keeper import EarlierSubmaps, MapKeeper, Unkept
+from service.messages import TileId
 from service.pipeline import Pipeline
-from service.publisher import MapUpdate, Publisher
+from service.publisher import MAP_FRAME, MapUpdate, Publisher
 from service.reader import Reader
 from service.rehearsal import rehearse
+from service.rolling_window import RollingWindow
 from service.sample_queue import SampleQueue
 
 IDLE_S = 0.02
@@ -40,6 +44,11 @@ class Unpublished:
     """In place of a publisher, where nobody is to receive the map."""
 
     ready = False
+    takes_updates = False
+    submap = 0
+
+    def offer_earlier(self, earlier: EarlierSubmaps) -> None:
+        """Nobody is to receive it."""
 
     def start(self) -> None:
         """Nothing to open."""
@@ -77,10 +86,12 @@ class Onboard:
         on_pose: Callable[[BoundedPose], None] | None = None,
         lockstep: bool = False,
         publish: bool = True,
+        keep: bool = True,
     ) -> None:
         """`lockstep`: readers acknowledge their bytes to `clock` once the pipeline has room for more samples.
 
-        `publish` False: nothing leaves the process (a replay's map is wanted, not its stream).
+        `publish` False: nothing leaves the process (a replay's map is wanted, not its stream). `keep` False: nothing
+        is saved where the configuration says, neither in a store nor as a file.
         """
         config = loaded.config
         self.clock = clock
@@ -89,8 +100,15 @@ class Onboard:
         self.queue = SampleQueue()
         self.devices = wiring(loaded) if devices is None else devices
         self.health = Health()
+        self.keeper = self._keeper(loaded) if keep and config.store.path is not None else Unkept()
         about = {"resolution_m": config.map.resolution_m}
-        self.publisher = Publisher(config.publish, config.robot.name, about) if publish else Unpublished()
+        recalled = (self.keeper.recall, config.map.max_tiles) if isinstance(self.keeper, MapKeeper) else ()
+        self.publisher = Publisher(config.publish, config.robot.name, about, *recalled) if publish else Unpublished()
+        self._window = RollingWindow(config.map, self.keeper)
+        self._unsent: dict[TileId, Tile] = {}
+        """Tiles that changed since the publisher's last update."""
+        self._forgotten: list[TileId] = []
+        self._keep = keep
         self._failure: BaseException | None = None
         self._loaded = loaded
         self._capture_path = capture
@@ -121,6 +139,7 @@ class Onboard:
             )
             self._resources.callback(self._end_recording, capture)
         rehearse(self._loaded.config)
+        self.pipeline.map.submap = self.publisher.submap = self.keeper.start()
         self.publisher.start()
         self._thread.start()
         acknowledge = self._acknowledge if self._lockstep else None
@@ -137,10 +156,14 @@ class Onboard:
         self._stopping.set()
         if self._thread.is_alive():
             self._thread.join()
-        self.save_map()
-        self.publisher.flush(flush_s)
-        self.publisher.close()
-        self._resources.close()
+        try:
+            if self._keep:
+                self.save_map()
+        finally:
+            self.publisher.flush(flush_s)
+            self.publisher.close()
+            self.keeper.close()
+            self._resources.close()
 
     def finish(self) -> None:
         """The stream has ended, but the publisher lives on: readers stop, the pipeline uses what it still holds."""
@@ -155,7 +178,7 @@ class Onboard:
         if path is None and wanted is not None:
             path = self._loaded.path(wanted)
         if path is not None:
-            save_map(self.pipeline, path)
+            save_map(self.pipeline, path, self.keeper.kept())
 
     def _end_recording(self, capture: CaptureWriter) -> None:
         """Close the capture; where the disk refuses its index, the recording replays without it."""
@@ -196,6 +219,7 @@ class Onboard:
                 if arrivals or self._uncounted:
                     self._report()
                 self._offer()
+                self._roll()
                 done_s = time.monotonic()
                 if self._save_wanted.is_set():
                     self._save_wanted.clear()
@@ -215,6 +239,7 @@ class Onboard:
         self._counted_ns = now_ns
         counts = pipeline.counts | {f"filter_{name}": count for name, count in pipeline.filter.counts.items()}
         counts |= {f"late_{name}": count for name, count in pipeline.late.items()}
+        counts |= {f"map_{name}": count for name, count in pipeline.map.counts.items()}
         counts["scans_waiting"] = pipeline.waiting_scans
         self.health.processed(now_ns, counts, pipeline.filter.guarantee)
         for name, total in self.queue.dropped.items():
@@ -225,19 +250,66 @@ class Onboard:
         if last:
             self.publisher.wait_until_ready(2.0)
         now_ns = time.monotonic_ns()
-        if not self.publisher.ready or not (last or now_ns - self._offered_ns >= LEAST_OFFER_NS):
+        publisher_ready = self.publisher.ready
+        if not last and (
+            now_ns - self._offered_ns < LEAST_OFFER_NS or not (publisher_ready or self.keeper.due(now_ns))
+        ):
             return
-        tiles = self.pipeline.map.take_dirty()
-        if not (last or tiles or now_ns - self._offered_ns > OFFER_PERIOD_NS):
+        self._keep_changes()
+        if not publisher_ready:
+            return
+        if not (last or self._unsent or self._forgotten or now_ns - self._offered_ns > OFFER_PERIOD_NS):
             return
         self._offered_ns = now_ns
+        tiles, self._unsent = tuple(self._unsent.values()), {}
+        forgotten, self._forgotten = tuple(self._forgotten), []
         self.publisher.offer(
             MapUpdate(
                 tiles=tiles,
                 pose=self.pipeline.filter.latest(),
                 anchor=self.pipeline.filter.anchor,
-                health=self.health.snapshot(now_ns) | {"publisher": self.publisher.state()},
+                health=self.health.snapshot(now_ns)
+                | {"publisher": self.publisher.state(), "store": self.keeper.state()},
                 guarantee=self.pipeline.filter.guarantee,
                 released_ns=self.pipeline.released_ns,
+                forgotten=forgotten,
             )
+        )
+
+    def _keep_changes(self) -> None:
+        """Hand over to the keeper what changed, and note it for the publisher, which is never ahead of the keeper."""
+        terrain, state = self.pipeline.map, self.pipeline.filter
+        tiles = terrain.take_dirty()
+        if self.keeper.wants_all:
+            self.keeper.wants_all = False
+            tiles = terrain.tiles()
+        if tiles or self.keeper.due(time.monotonic_ns()):
+            self.keeper.offer(tiles, state.anchor, state.guarantee, self.pipeline.released_ns)
+        for tile in tiles if self.publisher.takes_updates else ():
+            place = TileId(tile.submap, tile.ix, tile.iy)
+            # What waited may have left memory meanwhile: the newer one need not contain it.
+            self._unsent[place] = join(self._unsent[place], tile) if place in self._unsent else tile
+
+    def _roll(self) -> None:
+        """Let far tiles leave memory where it is short; join what has come back."""
+        forgotten = self._window.roll(self.pipeline.map, self.pipeline.filter.latest())
+        for place in forgotten:
+            self._unsent.pop(place, None)
+        if self.publisher.takes_updates:
+            self._forgotten += forgotten
+        for tile in self.keeper.returned():
+            self.pipeline.map.join(tile)
+
+    def _keeper(self, loaded: LoadedConfig) -> MapKeeper:
+        """The keeper of the configured store; what earlier runs left in it is published, too."""
+        config = loaded.config
+        path = loaded.path(config.store.path or "")
+        return MapKeeper(
+            path,
+            config.store.interval_s,
+            config.map.resolution_m,
+            MAP_FRAME,
+            self.health,
+            lambda earlier: self.publisher.offer_earlier(earlier),
+            config.store.earlier_submaps,
         )

@@ -22,10 +22,9 @@ from pydantic.dataclasses import dataclass
 from drivers.config import STRICT, Positive
 from drivers.errors import LinkError
 from estimator.bounded_pose import INTACT, Anchor, BoundedPose, Guarantee
-from mapper.tile import Tile, changed, compile_tiles, content_crc, snap_outward
+from mapper.tile import Tile
 from mapper.tile_codec import encode
 from service.messages import (
-    DigestEntry,
     DigestPart,
     TileId,
     TileNote,
@@ -37,16 +36,18 @@ from service.messages import (
     write_plain,
     write_pose,
 )
+from service.published_map import EarlierSubmap, PublishedMap, Recall, nothing_kept
 from service.session import AddressAway, open_session
 from service.topics import (
     ANCHOR,
+    ANCHOR_OF,
     DIGEST,
     HEALTH,
     INFO,
     POSE,
     TILE,
-    Kind,
     Topic,
+    anchor_key,
     parse_tile_key,
     robot_key,
     tile_key,
@@ -91,57 +92,8 @@ class MapUpdate:
     guarantee: Guarantee
     released_ns: int
     """Host's monotonic clock when the last sample in it had been read."""
-
-
-@plain_dataclass(frozen=True, slots=True)
-class PublishedTile:
-    """The last published state of a tile."""
-
-    tile: Tile
-    version: int
-
-
-class PublishedMap:
-    """The map as subscribers are to have it: each tile snapped outward, with a version and a CRC."""
-
-    def __init__(self) -> None:
-        compile_tiles()
-        self._tiles: dict[TileId, PublishedTile] = {}
-        self._crcs: dict[TileId, int] = {}
-        """Worked out when a digest asks: a tile changes many times a second, a digest comes once."""
-
-    def __len__(self) -> int:
-        return len(self._tiles)
-
-    def __iter__(self) -> Iterator[TileId]:
-        return iter(list(self._tiles))
-
-    def get(self, tile: TileId) -> PublishedTile | None:
-        """The last published state of a tile."""
-        return self._tiles.get(tile)
-
-    def update(self, tile: Tile) -> tuple[Kind, Tile, int] | None:
-        """Take a tile's new state: what to send for it (kind, cells, version); None where nothing changed."""
-        place = TileId(tile.submap, tile.ix, tile.iy)
-        old = self._tiles.get(place)
-        new = snap_outward(tile)
-        delta = changed(None if old is None else old.tile, new)
-        cells = delta.cells_seen
-        if cells == 0:
-            return None
-        version = 1 if old is None else old.version + 1
-        self._tiles[place] = PublishedTile(new, version)
-        self._crcs.pop(place, None)
-        if old is None or 2 * cells > new.cells_seen:
-            return "full", new, version
-        return "delta", delta, version
-
-    def entries(self) -> list[DigestEntry]:
-        """What a digest lists, in rising order."""
-        for place, published in self._tiles.items():
-            if place not in self._crcs:
-                self._crcs[place] = content_crc(published.tile)
-        return sorted(DigestEntry(*place, crc) for place, crc in self._crcs.items())
+    forgotten: tuple[TileId, ...] = ()
+    """Tiles that the map has let go of since the last update: they are listed no more."""
 
 
 class TokenBucket:
@@ -172,19 +124,32 @@ class _Answer:
     query: zenoh.Query
     tiles: Iterator[TileId]
     topics: Iterator[Topic]
+    anchors: Iterator[int]
+    """Submaps whose anchors are asked for."""
 
 
 class Publisher:
     """Owns the session from `start` to `close`; only its own thread touches it."""
 
-    def __init__(self, config: PublishConfig, robot: str, info: Mapping[str, Any] | None = None) -> None:
-        """`info` is added to what `.../info` says."""
+    takes_updates = True
+
+    def __init__(
+        self,
+        config: PublishConfig,
+        robot: str,
+        info: Mapping[str, Any] | None = None,
+        recall: Recall = nothing_kept,
+        tiles_in_memory: int | None = None,
+    ) -> None:
+        """`info` is added to what `.../info` says; beyond `tiles_in_memory`, published tiles are recalled."""
         self.counts: Counter[str] = Counter()
         """Messages and bytes sent, deltas and full tiles, questions answered, sessions failed."""
         self.epoch = secrets.token_hex(8)
         """Names this run: subscribers begin anew when it changes."""
         self.failure: str | None = None
         """Why there is no session at present."""
+        self.submap = 0
+        """The one that is being mapped; set it before `start`."""
         self._config = config
         self._robot = robot
         self._info = {"robot": robot, "epoch": self.epoch, "frame": MAP_FRAME, "format": "docs/tile-format.md"}
@@ -198,8 +163,10 @@ class Publisher:
         self._stopping = False
         self._started = threading.Event()
         self._refused: LinkError | None = None
+        self._earlier_offered: Mapping[int, EarlierSubmap] = {}
         # The publisher thread's own:
-        self._map = PublishedMap()
+        self._map = PublishedMap(recall, tiles_in_memory)
+        self._earlier: Mapping[int, EarlierSubmap] = {}
         self._bucket = TokenBucket(config.max_bytes_per_s)
         self._tiles: deque[Tile] = deque()
         self._answers: deque[_Answer] = deque()
@@ -247,6 +214,12 @@ class Publisher:
             self._wake.notify_all()
         return True
 
+    def offer_earlier(self, earlier: Mapping[int, EarlierSubmap]) -> None:
+        """Publish what earlier runs left, too: by number of the submap. Their tiles must be there to be recalled."""
+        with self._wake:
+            self._earlier_offered = dict(earlier)
+            self._wake.notify_all()
+
     def wait_until_ready(self, timeout_s: float) -> bool:
         """Wait until the mailbox is empty; False after the timeout."""
         with self._wake:
@@ -270,7 +243,12 @@ class Publisher:
 
     def state(self) -> dict[str, Any]:
         """How publishing does, for health."""
-        return {"open": self._started.is_set() and self.failure is None, "failure": self.failure, **self.counts}
+        return {
+            "open": self._started.is_set() and self.failure is None,
+            "failure": self.failure,
+            "tiles_not_recalled": self._map.not_recalled,
+            **self.counts,
+        }
 
     # The publisher thread
 
@@ -340,6 +318,7 @@ class Publisher:
             while not self._stopping:
                 now_s = time.monotonic()
                 self._take_questions()
+                self._take_earlier()
                 if self._update is None and self._slot is not None:
                     self._take_update(self._slot)
                     self._slot = None
@@ -364,9 +343,17 @@ class Publisher:
             delay_s = min(delay_s, self._bucket.delay_s(now_s))
         return delay_s
 
+    def _take_earlier(self) -> None:
+        """Earlier submaps have come: from now on the digest lists them."""
+        if self._earlier_offered:
+            self._earlier, self._earlier_offered = self._earlier_offered, {}
+            for submap in self._earlier.values():
+                self._map.adopt(submap.tiles)
+
     def _take_update(self, update: MapUpdate) -> None:
         """An update has come: its tiles are next, the rest goes when it is due."""
         self._update = update
+        self._map.forget(update.forgotten)
         self._final = False
         self._tiles.extend(update.tiles)
         self._health = update.health
@@ -450,7 +437,7 @@ class Publisher:
     def _topic(self, topic: Topic) -> bytes:
         """`info` and `health` as they are now."""
         if topic is INFO:
-            return write_plain(self._info | {"tiles": len(self._map)})
+            return write_plain(self._info | {"submap": self.submap, "tiles": len(self._map)})
         try:
             return write_plain({**(self._health or {}), "publisher": self.state()})
         except (ValueError, TypeError) as error:
@@ -467,12 +454,13 @@ class Publisher:
             single = parse_tile_key(str(asked))
             if single is not None:
                 place = TileId(single.submap, single.ix, single.iy)
-                tiles = iter([place] if single.kind == "full" and self._map.get(place) else [])
-                self._answers.append(_Answer(query, tiles, iter([])))
+                tiles = iter([place] if single.kind == "full" and place in self._map else [])
+                self._answers.append(_Answer(query, tiles, iter([]), iter([])))
                 continue
             topics = [t for t in (INFO, ANCHOR, HEALTH, DIGEST) if asked.intersects(topic_key(self._robot, t))]
             matching = (place for place in self._map if asked.intersects(tile_key(self._robot, *place, "full")))
-            self._answers.append(_Answer(query, matching, iter(topics)))
+            anchors = (n for n in [*self._earlier, self.submap] if asked.intersects(anchor_key(self._robot, n)))
+            self._answers.append(_Answer(query, matching, iter(topics), anchors))
 
     def _answer(self, answer: _Answer) -> None:
         """Send one message of an answer; a question whose answer is complete is let go."""
@@ -483,10 +471,17 @@ class Publisher:
                     self._bucket.spend(len(payload))
                     answer.query.reply(key, payload, encoding=topic.encoding)
                 return
+            if (submap := next(answer.anchors, None)) is not None:
+                anchor = self._earlier[submap].anchor if submap in self._earlier else self._anchor
+                if anchor is not None:
+                    self._bucket.spend(len(anchor))
+                    answer.query.reply(anchor_key(self._robot, submap), anchor, encoding=ANCHOR_OF.encoding)
+                return
             place = next(answer.tiles, None)
             published = None if place is None else self._map.get(place)
             if place is not None and published is not None:
-                guarantee = guarantee_message(self._guarantee)
+                earlier = self._earlier.get(place.submap)
+                guarantee = guarantee_message(self._guarantee) if earlier is None else earlier.guarantee
                 note = write(TileNote(self.epoch, published.version, guarantee))
                 payload = encode(published.tile, MAP_FRAME, time.time_ns())
                 self._bucket.spend(len(payload))

@@ -39,13 +39,15 @@ POSE = Topic("pose", JSON, "at most pose_rate_hz", Priority.INTERACTIVE_HIGH, ex
 HEALTH = Topic("health", JSON, "every health_period_s", Priority.INTERACTIVE_LOW, queried=True)
 INFO = Topic("info", JSON, "with each digest", Priority.DATA_HIGH, queried=True)
 ANCHOR = Topic("anchor", JSON, "when it changes, and with each digest", Priority.DATA_HIGH, queried=True)
+ANCHOR_OF = Topic("anchor/*", JSON, "never by itself", Priority.DATA_HIGH, queried=True)
+"""Of one submap, also of those that earlier runs left: `anchor/<submap>`."""
 DIGEST = Topic("digest", JSON, "every digest_period_s, and at the end", Priority.DATA_LOW, queried=True)
 """As urgent as the tiles it lists, so that it never overtakes them: who compares on arrival sees only true losses."""
 TILE = Topic("map/*/*/*/{full,delta}", GRID, "when cells changed", Priority.DATA_LOW, express=True, queried=True)
 REPAIR_PRIORITY = Priority.BACKGROUND
 """Of a client's gets; answers travel at the priority of their question."""
 
-TOPICS = (POSE, HEALTH, INFO, ANCHOR, DIGEST, TILE)
+TOPICS = (POSE, HEALTH, INFO, ANCHOR, ANCHOR_OF, DIGEST, TILE)
 
 
 class TileKey(NamedTuple):
@@ -68,6 +70,17 @@ _TILE = re.compile(
 def topic_key(robot: str, topic: Topic) -> str:
     """Key of a topic that has one key: `pose`, `anchor`, `health`, `digest`, `info`."""
     return f"{ROOT}/{robot}/{topic.name}"
+
+
+def anchor_key(robot: str, submap: int) -> str:
+    """Key of one submap's anchor."""
+    return f"{ROOT}/{robot}/anchor/{submap}"
+
+
+def submap_of_anchor(name: str) -> int | None:
+    """The submap in a topic's name that `anchor_key` made; None where it isn't one."""
+    match = re.fullmatch(r"anchor/(\d{1,10})", name, re.ASCII)
+    return None if match is None else int(match[1])
 
 
 def robot_key(robot: str) -> str:

@@ -57,7 +57,9 @@ def replay_through_ports(
         devices = wiring(on_ports)
         rehearsed = {device.name: _Rehearsed(device.protocol()) for device in devices}
         devices = tuple(replace(device, protocol=partial(rehearsed.__getitem__, device.name)) for device in devices)
-        onboard = Onboard(on_ports, readers_clock, devices=devices, on_pose=on_pose, lockstep=True, publish=False)
+        onboard = Onboard(
+            on_ports, readers_clock, devices=devices, on_pose=on_pose, lockstep=True, publish=False, keep=False
+        )
         onboard.start()
         stack.callback(onboard.stop)
         wires = _Wires(clock, ports, onboard, rehearsed)
