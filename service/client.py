@@ -403,6 +403,7 @@ class RemoteMap:
         self.counts["epochs"] += 1
         self._tiles.clear()
         self._crcs.clear()
+        self.anchors.clear()
         self._stale.clear()
         self._root = None
         self._introduced = self._introduced and first

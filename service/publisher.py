@@ -388,7 +388,11 @@ class Publisher:
         self._put(session, INFO, self._topic(INFO))
         if self._anchor is not None:
             self._put(session, ANCHOR, self._anchor)
-        for part in self._digest(summary_if_root=self._listed_root):
+        parts = list(self._digest(summary_if_root=self._listed_root))
+        for number, submap in self._earlier.items() if parts[0].parts else ():
+            if submap.anchor is not None:
+                self._put(session, ANCHOR_OF, submap.anchor, anchor_key(self._robot, number))
+        for part in parts:
             self._put(session, DIGEST, write(part))
             self._listed_root = part.root
         with self._wake:

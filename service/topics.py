@@ -39,7 +39,7 @@ POSE = Topic("pose", JSON, "at most pose_rate_hz", Priority.INTERACTIVE_HIGH, ex
 HEALTH = Topic("health", JSON, "every health_period_s", Priority.INTERACTIVE_LOW, queried=True)
 INFO = Topic("info", JSON, "with each digest", Priority.DATA_HIGH, queried=True)
 ANCHOR = Topic("anchor", JSON, "when it changes, and with each digest", Priority.DATA_HIGH, queried=True)
-ANCHOR_OF = Topic("anchor/*", JSON, "never by itself", Priority.DATA_HIGH, queried=True)
+ANCHOR_OF = Topic("anchor/*", JSON, "of earlier runs, when a digest lists all", Priority.DATA_HIGH, queried=True)
 """Of one submap, also of those that earlier runs left: `anchor/<submap>`."""
 DIGEST = Topic("digest", JSON, "every digest_period_s, and at the end", Priority.DATA_LOW, queried=True)
 """As urgent as the tiles it lists, so that it never overtakes them: who compares on arrival sees only true losses."""

@@ -132,7 +132,12 @@ def test_recall_gives_all_that_was_ever_handed_over(tmp_path: Path) -> None:
         both = join(a_tile(0, 1), a_tile(0, 2))
         assert keeper.recall((0, 0, 0)) == both
         back: list[Tile] = []
-        wait_until(lambda: bool(back.extend(keeper.returned()) or back))
+
+        def something_came_back() -> bool:
+            back.extend(keeper.returned())
+            return bool(back)
+
+        wait_until(something_came_back)
         assert back == [both]
         assert keeper.kept() == []
         assert keeper.recall((0, 9, 9)) is None

@@ -19,6 +19,9 @@ import pytest
 
 from drivers.capture import read_capture
 from mapper.saved_map import load as load_map
+from mapper.store_check import open_store
+from mapper.tile import join
+from service.client import RemoteMap
 from service.commands.replay import replay
 from service.shipped import shipped_config
 
@@ -158,3 +161,47 @@ def test_the_demo_holds_all_its_promises(tmp_path: Path) -> None:
     assert result["hits_checked"] > 50_000
     assert 0 < result["mean_width_m"] < 0.5
     assert {"map.npz", "map.png", "poses.jsonl", "drive.mcap"} <= {path.name for path in (tmp_path / "out").iterdir()}
+
+
+def test_kill_9_loses_nothing_that_was_saved_and_mapping_resumes(
+    folder: Path, robot: subprocess.Popen[bytes], tmp_path: Path
+) -> None:
+    """What health had acknowledged is there after SIGKILL, as an earlier submap with its anchor; a new one begins."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        address = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    text = (folder / "robot.toml").read_text().replace("tcp/127.0.0.1:0", address)
+    config = folder / "stored.toml"
+    config.write_text(f'{text}path = "{tmp_path / "map.db"}"\n')
+
+    with terrabound("run", "--config", config) as run, RemoteMap(address) as remote:
+
+        def saved_up_to_ns() -> int:
+            return int(remote.health.get("store", {}).get("saved_up_to_ns") or 0)
+
+        wait_until(lambda: len(remote.tiles) > 5 and saved_up_to_ns() > 0, run)
+        tiles, seen_ns = remote.tiles, time.monotonic_ns()
+        wait_until(lambda: saved_up_to_ns() > seen_ns, run)
+        run.kill()
+        run.wait()
+    assert {place.submap for place in tiles} == {0}
+
+    with terrabound("run", "--config", config) as run, RemoteMap(address) as remote:
+        wait_until(lambda: {place.submap for place in remote.tiles} == {0, 1}, run)
+        wait_until(lambda: all(place in remote.tiles for place in tiles), run)
+        for place, tile in tiles.items():
+            assert join(remote.tiles[place], tile) == remote.tiles[place]
+        wait_until(lambda: 0 in remote.anchors, run)
+        assert remote.info["submap"] == 1
+        assert remote.health["store"]["found_clean"] is True
+        code, said = end(run)
+    assert code == 0, said
+    store, findings = open_store(tmp_path / "map.db")
+    assert findings.clean
+    assert set(store.submaps) == {0, 1}
+    assert '"origin_lat_deg"' in store.submaps[0].anchor
+    for place, tile in tiles.items():
+        kept = store.read(place)
+        assert kept is not None
+        assert join(kept, tile) == kept
+    store.close()
