@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from service.config import load
+from service.shipped import shipped_config
+
 FOLDER = Path(__file__).resolve().parents[2] / "systemd"
 ANALYZE = shutil.which("systemd-analyze")
 needs_analyze = pytest.mark.skipif(ANALYZE is None, reason="systemd-analyze is not installed")
@@ -68,6 +71,16 @@ def test_the_unit_says_what_the_program_relies_on() -> None:
         assert needed in settings
     assert any(line.startswith("WatchdogSec=") for line in settings)
     assert not any(line.startswith("MemoryDenyWriteExecute=y") for line in settings)
+
+
+def test_the_service_may_write_where_the_example_keeps_its_map() -> None:
+    """ProtectSystem=strict leaves only the state directory: the store and the saved map are in it."""
+    settings = (FOLDER / "terrabound.service").read_text().splitlines()
+    assert "StateDirectory=terrabound" in settings
+    store = load(shipped_config("paper-robot.toml")).config.store
+    for path in (store.path, store.map):
+        assert path is not None
+        assert Path(path).parent == Path("/var/lib/terrabound")
 
 
 def test_the_service_user_is_made(tmp_path: Path) -> None:
