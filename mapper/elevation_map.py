@@ -4,10 +4,10 @@ For every point that a beam really hit, the interval of the cell that contains t
 long as the pose boxes and the laser's declared bounds hold. Cells only ever grow, by hull.
 """
 
+import mmap
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,16 +17,19 @@ from drivers.samples import Scan
 from mapper import kernel
 from mapper.config import MapConfig
 from mapper.grid import TILE_SIDE, tile_indices, tile_key
-from mapper.projection import B_SIZE, P_SIZE, W_ROWS, Floats, beam_table, laser_geometry
+from mapper.projection import B_SIZE, LANES, P_SIZE, Floats, beam_table, laser_geometry
 from mapper.tile import Tile
 
-_FIRST_TILES = 64
-_CACHE_LINE = 64
+_MAP_NORESERVE = 0x4000
+"""Linux's; Python names it from 3.13 on."""
+_TILES_AT_A_TIME = 64
+"""So many tiles (2 MiB) are made ready together ..."""
+_TILES_SPARE = 16
+"""... and as soon as fewer than this are left: no scan waits for memory, unless it needs more than these at once."""
 
 
-@dataclass(frozen=True, slots=True)
-class InsertResult:
-    """What became of a scan's beams; the numbers add up to `beams`."""
+class InsertResult(NamedTuple):
+    """What became of a scan's beams; the numbers add up to `beams`. (A tuple: made 75 times a second and more.)"""
 
     beams: int
     used: int
@@ -50,22 +53,24 @@ class ElevationMap:
         """Start empty. Compiles the kernel now (seconds at first, then cached), so that no scan waits for it."""
         self.config = config
         self.submap = submap
-        self.counts: Counter[str] = Counter()
-        """Beams by fate since the start, named as in InsertResult; `tiles_left_out` by `join`."""
         self._geometry = laser_geometry(laser)
-        self._count = np.zeros(1, np.int64)
-        self._fates = np.zeros(kernel.COUNTS, np.int64)
-        self._work = np.zeros((W_ROWS, 4))
-        self._poses = np.empty((0, P_SIZE))
-        self._block = np.empty(B_SIZE)
         self._beam_angles = (0, 0.0, 0.0)
-        self._cosines, self._sines = np.empty(0), np.empty(0)
-        self._pool = _unseen_pool(0)
-        self._keys = np.empty(0, np.uint64)
-        self._dirty = np.empty(0, np.bool_)
-        self._sure = np.empty((0, TILE_SIDE), np.uint64)
-        self._table = np.empty(0, np.int32)
-        self._grow(min(_FIRST_TILES, config.max_tiles))
+        self._directions = np.empty((2, 0))
+        self._poses = np.empty((0, P_SIZE))
+        self._scratch = np.zeros(kernel.WORK_SIZE + B_SIZE)
+        self._spans = np.zeros(kernel.S_SIZE, np.int32)
+        self._heights = np.zeros(2 * LANES, np.float32)
+        self._tiles_left_out = 0
+        # Room for all tiles there may ever be: memory that nobody has touched costs nothing.
+        most = config.max_tiles
+        self._numbers = np.zeros(kernel.N_SIZE, np.int64)
+        self._numbers[kernel.N_MOST] = most
+        self._table = np.zeros(1 << (2 * most - 1).bit_length(), np.int32)
+        self._keys = np.zeros(most, np.uint64)
+        self._dirty = np.zeros(most, np.bool_)
+        self._sure = np.zeros((most, TILE_SIDE), np.uint64)
+        self._pool = _untouched_pool(most)
+        self._make_ready()
         self._insert(np.empty(0), np.empty(0, np.int32), np.zeros((1, 6)), np.zeros((1, 6)))
         low, high = np.empty((2, TILE_SIDE, TILE_SIDE), np.float32)
         kernel.copy_tile(0, self._pool, self._sure, low, high, np.empty((TILE_SIDE, TILE_SIDE), np.bool_))
@@ -77,24 +82,23 @@ class ElevationMap:
         outside 0..m-1 means that the beam has no pose.
         """
         self._turn_to(scan)
-        self._fates[:] = 0
         self._insert(
             _plain(scan.ranges_m, np.float64),
             _plain(pose_index, np.int32),
             _plain(low, np.float64),
             _plain(high, np.float64),
         )
-        used, no_range, no_pose, too_wide, too_far, beyond_cap = self._fates.tolist()
-        result = InsertResult(scan.ranges_m.size, used, no_range, no_pose, too_wide, too_far, beyond_cap)
-        counts = self.counts
-        counts["beams"] += result.beams
-        counts["used"] += used
-        counts["no_range"] += no_range
-        counts["no_pose"] += no_pose
-        counts["too_wide"] += too_wide
-        counts["too_far"] += too_far
-        counts["beyond_cap"] += beyond_cap
-        return result
+        numbers = self._numbers.tolist()
+        if numbers[kernel.N_READY] - numbers[kernel.N_TILES] < _TILES_SPARE:
+            self._make_ready()
+        return InsertResult(len(pose_index), *numbers[: kernel.FATES])
+
+    @property
+    def counts(self) -> Counter[str]:
+        """Beams by fate since the start, named as in InsertResult; `tiles_left_out` by `join`."""
+        fates = self._numbers[kernel.N_TOTALS :][: kernel.FATES]
+        totals = InsertResult(int(fates.sum()), *fates.tolist())
+        return Counter(totals._asdict() | {"tiles_left_out": self._tiles_left_out})
 
     def join(self, tile: Tile) -> bool:
         """Hull a tile into the map; False if max_tiles leaves no room for it."""
@@ -106,15 +110,15 @@ class ElevationMap:
         while True:
             # fmt: off
             found = kernel.join_tile(
-                tile.ix, tile.iy, tile.low, tile.high, tile.surely_hit, self.config.max_tiles,
-                self._count, self._table, self._keys, self._dirty, self._pool, self._sure,
+                tile.ix, tile.iy, tile.low, tile.high, tile.surely_hit,
+                self._numbers, self._table, self._keys, self._dirty, self._pool, self._sure,
             )
             # fmt: on
             if found != kernel.POOL_FULL:
                 break
-            self._grow_further()
+            self._make_ready()
         if found == kernel.LEFT_OUT:
-            self.counts["tiles_left_out"] += 1
+            self._tiles_left_out += 1
         return bool(found != kernel.LEFT_OUT)
 
     def take_dirty(self) -> tuple[Tile, ...]:
@@ -144,7 +148,8 @@ class ElevationMap:
         holes, movers = np.flatnonzero(~stays[:kept]), kept + np.flatnonzero(stays[kept:])
         for rows in (self._keys, self._dirty, self._pool, self._sure):
             rows[holes] = rows[movers]
-        self._count[0] = kept
+        self._pool[kept:before], self._sure[kept:before], self._dirty[kept:before] = kernel.UNSEEN, 0, False
+        self._numbers[kernel.N_TILES] = kept
         self._table.fill(kernel.FREE)
         kernel.rebuild_table(kept, self._table, self._keys)
         return before - kept
@@ -152,7 +157,7 @@ class ElevationMap:
     @property
     def tile_count(self) -> int:
         """Tiles in use; each takes 32 KiB."""
-        return int(self._count[0])
+        return int(self._numbers[kernel.N_TILES])
 
     @property
     def cells_seen(self) -> int:
@@ -173,26 +178,26 @@ class ElevationMap:
             )
         if len(low) > len(self._poses):
             self._poses = np.empty((len(low), P_SIZE))
-        done = 0
+        done, beams = 0, len(ranges)
         while True:
             # fmt: off
             done = kernel.insert_beams(
-                done, ranges, self._cosines, self._sines, pose_index, low, high,
-                self._geometry, self.config.resolution_m, self.config.max_footprint_m, self.config.max_tiles,
-                self._work, self._poses, self._block,
-                self._count, self._table, self._keys, self._dirty, self._pool, self._sure, self._fates,
+                done, ranges, self._directions, pose_index, low, high,
+                self._geometry, self.config.resolution_m, self.config.max_footprint_m,
+                self._poses, self._scratch, self._spans, self._heights,
+                self._numbers, self._table, self._keys, self._dirty, self._pool, self._sure,
             )
             # fmt: on
-            if done == ranges.size:
+            if done == beams:
                 return
-            self._grow_further()
+            self._make_ready()
 
     def _turn_to(self, scan: Scan) -> None:
         """Have the sines and cosines of this scan's beams (the scanner rarely changes its angles)."""
         beam_angles = (scan.ranges_m.size, scan.angle_min_rad, scan.angle_increment_rad)
         if beam_angles != self._beam_angles:
-            self._cosines, self._sines = np.empty(beam_angles[0]), np.empty(beam_angles[0])
-            beam_table(scan.angle_min_rad, scan.angle_increment_rad, self._cosines, self._sines)
+            self._directions = np.empty((2, beam_angles[0]))
+            beam_table(scan.angle_min_rad, scan.angle_increment_rad, *self._directions)
             self._beam_angles = beam_angles
 
     def _tile(self, index: int) -> Tile:
@@ -202,31 +207,26 @@ class ElevationMap:
         kernel.copy_tile(index, self._pool, self._sure, low, high, surely_hit)
         return Tile(self.submap, ix, iy, self.config.resolution_m, low, high, surely_hit)
 
-    def _grow_further(self) -> None:
-        self._grow(min(2 * self._keys.size, self.config.max_tiles))
-
-    def _grow(self, capacity: int) -> None:
-        """Make room for `capacity` tiles."""
-        tiles = self.tile_count
-        pool, keys, dirty = _unseen_pool(capacity), np.zeros(capacity, np.uint64), np.zeros(capacity, np.bool_)
-        sure = np.zeros((capacity, TILE_SIDE), np.uint64)
-        pool[:tiles], keys[:tiles], dirty[:tiles] = self._pool[:tiles], self._keys[:tiles], self._dirty[:tiles]
-        sure[:tiles] = self._sure[:tiles]
-        table = np.full(1 << (2 * capacity - 1).bit_length(), kernel.FREE, np.int32)
-        kernel.rebuild_table(tiles, table, keys)
-        self._pool, self._keys, self._dirty, self._sure, self._table = pool, keys, dirty, sure, table
+    def _make_ready(self) -> None:
+        """Touch the memory of the next tiles, all of them unseen: the kernel never waits for a page."""
+        ready = int(self._numbers[kernel.N_READY])
+        more = min(ready + _TILES_AT_A_TIME, self.config.max_tiles)
+        if ready == more:
+            return
+        self._pool[ready:more] = kernel.UNSEEN
+        self._sure[ready:more] = 0
+        self._numbers[kernel.N_READY] = more
 
 
-def _unseen_pool(capacity: int) -> kernel.Cells:
-    """[capacity, TILE_FLOATS] float32 that begins on a cache line; not filled (add_tile does it, tile by tile)."""
-    wanted = capacity * kernel.TILE_FLOATS * 4
-    raw = np.empty(wanted + _CACHE_LINE, np.uint8)
-    skip = -raw.ctypes.data % _CACHE_LINE
-    return raw[skip : skip + wanted].view(np.float32).reshape(capacity, kernel.TILE_FLOATS)
+def _untouched_pool(tiles: int) -> kernel.Cells:
+    """[tiles, TILE_FLOATS] float32 that begins on a page and takes memory only where it is written to."""
+    flags = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | _MAP_NORESERVE
+    memory = mmap.mmap(-1, tiles * kernel.TILE_BYTES + mmap.PAGESIZE, flags=flags)  # the last block may reach beyond
+    return np.frombuffer(memory, np.float32, tiles * kernel.TILE_FLOATS).reshape(tiles, kernel.TILE_FLOATS)
 
 
 def _plain(array: NDArray[Any], dtype: type) -> NDArray[Any]:
     """The array as the compiled code knows it: another layout, type or a read-only one would compile again, live."""
-    if array.dtype == dtype and array.flags.c_contiguous and array.flags.writeable:
+    if array.dtype == dtype and array.flags.carray:
         return array
     return np.array(array, dtype=dtype, order="C")

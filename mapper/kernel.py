@@ -1,20 +1,25 @@
-"""One scan into the map in one compiled call: boxes, tiles found or added, hull of every touched cell. No allocation.
+"""One scan into the map in one compiled call: boxes, cells, tiles found or added, hull of every touched cell.
 
-A cell is two float32: (-low, high), both rounded up, so that its hull with an interval is one `max` on both; -inf
-where nothing was seen. Tiles of 64 x 64 cells lie in one pool, found by an open-addressing hash. When the pool is full
-the call returns early; the caller makes it larger and calls again from that beam (a hull taken twice changes nothing).
+A cell is two float32: (-low, high), both rounded up, so that its hull with an interval is one maximum of both; -inf
+where nothing was seen. Tiles of 64 x 64 cells lie in one pool, found by an open-addressing hash. Nothing is allocated:
+when no tile is ready for use the call returns early; the caller makes more ready and calls again from that beam (a
+hull taken twice changes nothing).
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.compiled import compiled, compiled_unlocked
+from mapper.cell_blocks import ALIGNED_CELLS, BLOCK_CELLS, CELL_BYTES, ROW_BYTES, hull_blocks
 from mapper.grid import CELL_LIMIT, TILE_CELLS, TILE_SHIFT, TILE_SIDE, tile_key
 from mapper.projection import (
     B_CENTRE,
     B_HALF,
+    G_RANGE_MAX,
+    G_RANGE_MIN,
     LANES,
     P_USABLE,
+    W_ROWS,
     Floats,
     box_block,
     prepare_pose,
@@ -25,6 +30,8 @@ from mapper.projection import (
 B_X, B_Y, B_Z = B_CENTRE, B_CENTRE + LANES, B_CENTRE + 2 * LANES
 B_DX, B_DY, B_DZ = B_HALF, B_HALF + LANES, B_HALF + 2 * LANES
 
+WORK_SIZE = 4 * W_ROWS
+
 Cells = NDArray[np.float32]
 Indices = NDArray[np.int32]
 Counts = NDArray[np.int64]
@@ -34,24 +41,40 @@ Bits = NDArray[np.uint64]
 """[tiles, 64]: a word a row of cells, bit c for column c."""
 
 TILE_FLOATS = 2 * TILE_CELLS
-FREE = -1
-"""In the hash table: no tile here."""
+TILE_BYTES = TILE_CELLS * CELL_BYTES
+FREE = 0
+"""In the hash table: no tile here; a tile stands as its number + 1."""
 UNSEEN = np.float32(-np.inf)
 NOTHING = np.uint32(0x7FC00000).view(np.float32)
 """What a tile says of an unseen cell."""
 LEFT_OUT = np.int64(-1)
 """In place of a tile's number: the map has max_tiles already."""
 POOL_FULL = np.int64(-2)
-"""In place of a tile's number: the pool must grow first."""
+"""In place of a tile's number: more tiles must be made ready first."""
 
-# What became of the beams: numbers of the `counts` array.
+# The numbers that the kernel and its caller share: one row of int64. First what became of this call's beams, then of
+# all beams so far.
 USED = 0
 NO_RANGE = 1
 NO_POSE = 2
 TOO_WIDE = 3
 TOO_FAR = 4
 BEYOND_CAP = 5
-COUNTS = 6
+FATES = 6
+N_TOTALS = FATES
+N_TILES = 2 * FATES  # in use
+N_READY = N_TILES + 1  # in use, or unseen everywhere and for use
+N_MOST = N_TILES + 2  # the memory cap
+N_SIZE = N_TILES + 3
+
+# Where the beams of a block end in the grid: rows of LANES int32.
+S_FATE = 0
+S_I0 = LANES
+S_I1 = 2 * LANES
+S_J0 = 3 * LANES
+S_J1 = 4 * LANES
+S_SIZE = 5 * LANES
+_INDEX_LIMIT = float(CELL_LIMIT)
 
 # Rounding to float32 errs by at most 2^-24 of the value, so twice that, added first, makes it round up. The constant
 # does it near zero (and is no subnormal, which some processors flush to zero).
@@ -71,35 +94,25 @@ def find_slot(key: np.uint64, table: Indices, keys: Keys) -> np.uint64:
     mask = np.uint64(table.size - 1)
     mixed = key * np.uint64(0x9E3779B97F4A7C15)
     place = (mixed ^ (mixed >> np.uint64(32))) & mask
-    while table[place] != FREE and keys[table[place]] != key:
+    while table[place] != FREE and keys[np.uint64(table[place] - 1)] != key:
         place = (place + np.uint64(1)) & mask
     return place
 
 
 @compiled
-def tile_at(
-    key: np.uint64,
-    max_tiles: int,
-    count: Counts,
-    table: Indices,
-    keys: Keys,
-    pool: Cells,
-    sure: Bits,
-) -> np.int64:
-    """Number of the tile `key`, added (unseen everywhere) if it is new; LEFT_OUT or POOL_FULL if there is no room."""
+def tile_at(key: np.uint64, numbers: Counts, table: Indices, keys: Keys) -> np.int64:
+    """Number of the tile `key`, added if it is new; LEFT_OUT or POOL_FULL if there is no room."""
     place = find_slot(key, table, keys)
-    tile = np.int64(table[place])
-    if tile == FREE:
-        if count[0] >= max_tiles:
+    tile = np.int64(table[place]) - 1
+    if tile < 0:
+        tile = numbers[N_TILES]
+        if tile >= numbers[N_MOST]:
             return LEFT_OUT
-        if count[0] >= keys.size:
+        if tile >= numbers[N_READY]:
             return POOL_FULL
-        tile = count[0]
-        count[0] = tile + 1
-        table[place] = tile
+        numbers[N_TILES] = tile + 1
+        table[place] = tile + 1
         keys[tile] = key
-        pool[tile] = UNSEEN
-        sure[tile] = np.uint64(0)
     return tile
 
 
@@ -107,21 +120,64 @@ def tile_at(
 def rebuild_table(tiles: int, table: Indices, keys: Keys) -> None:
     """Enter the first `tiles` keys into an empty table."""
     for tile in range(tiles):
-        table[find_slot(keys[tile], table, keys)] = tile
+        table[find_slot(keys[tile], table, keys)] = tile + 1
 
 
 @compiled
-def hull_rows(cells: Cells, row0: int, row1: int, col0: int, col1: int, neg_low: np.float32, high: np.float32) -> bool:
+def locate_block(
+    first: int,
+    count: int,
+    ranges: Floats,
+    geometry: Floats,
+    inverse: float,
+    max_footprint_m: float,
+    block: Floats,
+    spans: Indices,
+    heights: Cells,
+) -> None:
+    """Each beam's fate, its cells (first and last column i and row j) and its interval (-low, high as stored).
+
+    What is not USED has cells too, somewhere: no conversion to integers is undefined, and nobody reads them.
+    """
+    least, most = geometry[G_RANGE_MIN], geometry[G_RANGE_MAX]
+    for n in range(count):
+        x, y, z = block[B_X + n], block[B_Y + n], block[B_Z + n]
+        dx, dy, dz = block[B_DX + n], block[B_DY + n], block[B_DZ + n]
+        far = not (abs(x) + dx) * inverse < _INDEX_LIMIT
+        far |= not (abs(y) + dy) * inverse < _INDEX_LIMIT
+        far |= not (abs(z) + dz) * inverse < _INDEX_LIMIT
+        narrow = (2.0 * dx <= max_footprint_m) & (2.0 * dy <= max_footprint_m)
+        fate = TOO_FAR if far else USED
+        fate = fate if narrow else TOO_WIDE
+        r = ranges[first + n]
+        spans[S_FATE + n] = fate if (least <= r) & (r <= most) else NO_RANGE
+        heights[n] = round_up(dz - z)
+        heights[LANES + n] = round_up(z + dz)
+        spans[S_I0 + n] = cell_number((x - dx) * inverse)
+        spans[S_I1 + n] = cell_number((x + dx) * inverse)
+        spans[S_J0 + n] = cell_number((y - dy) * inverse)
+        spans[S_J1 + n] = cell_number((y + dy) * inverse)
+
+
+@compiled
+def cell_number(cells: float) -> np.int32:
+    """floor, kept where an int32 can be made of it; NaN too."""
+    cells = cells if cells > -_INDEX_LIMIT else -_INDEX_LIMIT
+    cells = cells if cells < _INDEX_LIMIT else _INDEX_LIMIT
+    return np.int32(np.floor(cells))
+
+
+@compiled
+def hull_cells(
+    tile_address: np.uint64, row0: int, row1: int, col0: int, col1: int, neg_low: np.float32, high: np.float32
+) -> bool:
     """Hull of one tile's cells [row0..row1, col0..col1] with an interval; did any cell change?"""
-    changed = False
-    for row in range(row0, row1 + 1):
-        begin = np.uint64(2 * (row * TILE_SIDE + col0))
-        end = np.uint64(2 * (row * TILE_SIDE + col1 + 1))
-        for at in range(begin, end, np.uint64(2)):
-            old_low, old_high = cells[at], cells[at + np.uint64(1)]
-            changed |= (neg_low > old_low) | (high > old_high)
-            cells[at] = neg_low if neg_low > old_low else old_low
-            cells[at + np.uint64(1)] = high if high > old_high else old_high
+    block, rows, changed = col0 & -ALIGNED_CELLS, row1 - row0 + 1, False
+    while block <= col1:
+        address = tile_address + np.uint64(row0 * ROW_BYTES + block * CELL_BYTES)
+        first, last = max(col0 - block, 0), min(col1 - block, BLOCK_CELLS - 1)
+        changed |= hull_blocks(address, rows, neg_low, high, first, last)
+        block += BLOCK_CELLS
     return changed
 
 
@@ -129,84 +185,79 @@ def hull_rows(cells: Cells, row0: int, row1: int, col0: int, col1: int, neg_low:
 def insert_beams(
     first: int,
     ranges: Floats,
-    cosines: Floats,
-    sines: Floats,
+    directions: Floats,
     pose_index: Indices,
     pose_low: Floats,
     pose_high: Floats,
     geometry: Floats,
     resolution_m: float,
     max_footprint_m: float,
-    max_tiles: int,
-    work: Floats,
     poses: Floats,
-    block: Floats,
-    count: Counts,
+    scratch: Floats,
+    spans: Indices,
+    heights: Cells,
+    numbers: Counts,
     table: Indices,
     keys: Keys,
     dirty: Flags,
     pool: Cells,
     sure: Bits,
-    counts: Counts,
 ) -> int:
-    """Take beams from `first` on; return the number of the beam that needs a larger pool, or n when all are done.
+    """Take beams from `first` on; return the number of the beam that needs more tiles ready, or n when all are done.
 
-    ranges, cosines, sines, pose_index [n]; pose_low, pose_high [m, 6]; poses [>= m, P_SIZE], work, block: scratch;
-    count [1] tiles in use; table the hash; keys, dirty, pool, sure one row a tile; counts [COUNTS] is added to.
+    ranges, pose_index [n]; directions [2, n] cosines, sines; pose_low, pose_high [m, 6]; poses [>= m, P_SIZE],
+    scratch, spans, heights: scratch; numbers [N_SIZE]; table the hash; keys, dirty, pool, sure one row a tile.
     """
-    beams, inverse = ranges.size, 1.0 / resolution_m
+    beams, inverse, pool_address = ranges.size, 1.0 / resolution_m, np.uint64(pool.ctypes.data)
+    cosines, sines = directions[0], directions[1]
+    work, block = scratch[:WORK_SIZE].reshape(W_ROWS, 4), scratch[WORK_SIZE:]
     for m in range(pose_low.shape[0]):
         prepare_pose(pose_low[m], pose_high[m], geometry, work, poses[m])
     last_key, last_tile = np.uint64(0), np.int64(-1)
+    if first == 0:
+        for fate in range(FATES):
+            numbers[fate] = 0
 
-    block_first, block_end = first, first
-    for n in range(first, beams):
-        if not usable_range(ranges[n], geometry):
-            counts[NO_RANGE] += 1
-            continue
-        m = pose_index[n]
+    n = first
+    while n < beams:
+        m, count = pose_index[n], run_length(n, pose_index)
         if m < 0 or m >= pose_low.shape[0] or poses[m, P_USABLE] != 1.0:
-            counts[NO_POSE] += 1
+            for k in range(n, n + count):
+                numbers[NO_POSE if usable_range(ranges[k], geometry) else NO_RANGE] += 1
+            n += count
             continue
-        if n >= block_end:
-            block_first, block_end = n, n + run_length(n, pose_index)
-            box_block(poses[m], geometry, n, block_end - n, ranges, cosines, sines, block)
-        lane = n - block_first
-        x, y, z = block[B_X + lane], block[B_Y + lane], block[B_Z + lane]
-        dx, dy, dz = block[B_DX + lane], block[B_DY + lane], block[B_DZ + lane]
-        if not (2.0 * dx <= max_footprint_m and 2.0 * dy <= max_footprint_m):
-            counts[TOO_WIDE] += 1
-            continue
-        reach = max(abs(x) + dx, abs(y) + dy, abs(z) + dz)
-        if not reach * inverse < CELL_LIMIT:
-            counts[TOO_FAR] += 1
-            continue
-        i0, i1 = int(np.floor((x - dx) * inverse)), int(np.floor((x + dx) * inverse))
-        j0, j1 = int(np.floor((y - dy) * inverse)), int(np.floor((y + dy) * inverse))
-        neg_low, high = round_up(dz - z), round_up(z + dz)
-
-        left_out = False
-        for ty in range(j0 >> TILE_SHIFT, (j1 >> TILE_SHIFT) + 1):
-            for tx in range(i0 >> TILE_SHIFT, (i1 >> TILE_SHIFT) + 1):
-                key = tile_key(tx, ty)
-                if last_tile < 0 or key != last_key:
-                    tile = tile_at(key, max_tiles, count, table, keys, pool, sure)
-                    if tile == POOL_FULL:
-                        return n
-                    if tile == LEFT_OUT:
-                        left_out = True
-                        continue
-                    last_key, last_tile = key, tile
-                row0, row1 = max(j0 - (ty << TILE_SHIFT), 0), min(j1 - (ty << TILE_SHIFT), TILE_SIDE - 1)
-                col0, col1 = max(i0 - (tx << TILE_SHIFT), 0), min(i1 - (tx << TILE_SHIFT), TILE_SIDE - 1)
-                if hull_rows(pool[last_tile], row0, row1, col0, col1, neg_low, high):
-                    dirty[last_tile] = True
-                if i0 == i1 and j0 == j1:  # the hit is in this cell, as the footprint reaches no other
-                    bit = np.uint64(1) << np.uint64(col0)
-                    if sure[last_tile, row0] & bit == np.uint64(0):
-                        sure[last_tile, row0] |= bit
-                        dirty[last_tile] = True
-        counts[BEYOND_CAP if left_out else USED] += 1
+        box_block(poses[m], geometry, n, count, ranges, cosines, sines, block)
+        locate_block(n, count, ranges, geometry, inverse, max_footprint_m, block, spans, heights)
+        for lane in range(count):
+            fate = spans[S_FATE + lane]
+            if fate == USED:
+                i0, i1 = int(spans[S_I0 + lane]), int(spans[S_I1 + lane])
+                j0, j1 = int(spans[S_J0 + lane]), int(spans[S_J1 + lane])
+                for ty in range(j0 >> TILE_SHIFT, (j1 >> TILE_SHIFT) + 1):
+                    for tx in range(i0 >> TILE_SHIFT, (i1 >> TILE_SHIFT) + 1):
+                        key = tile_key(tx, ty)
+                        if last_tile < 0 or key != last_key:
+                            tile = tile_at(key, numbers, table, keys)
+                            if tile == POOL_FULL:
+                                return n + lane
+                            if tile == LEFT_OUT:
+                                fate = BEYOND_CAP
+                                continue
+                            last_key, last_tile = key, tile
+                        row0, row1 = max(j0 - (ty << TILE_SHIFT), 0), min(j1 - (ty << TILE_SHIFT), TILE_SIDE - 1)
+                        col0, col1 = max(i0 - (tx << TILE_SHIFT), 0), min(i1 - (tx << TILE_SHIFT), TILE_SIDE - 1)
+                        tile_address = pool_address + np.uint64(last_tile * TILE_BYTES)
+                        changed = hull_cells(tile_address, row0, row1, col0, col1, heights[lane], heights[LANES + lane])
+                        if i0 == i1 and j0 == j1:  # the hit is in this cell, as the footprint reaches no other
+                            bit = np.uint64(1) << np.uint64(col0)
+                            changed |= sure[last_tile, row0] & bit == np.uint64(0)
+                            sure[last_tile, row0] |= bit
+                        if changed:
+                            dirty[last_tile] = True
+            numbers[fate] += 1
+        n += count
+    for fate in range(FATES):
+        numbers[N_TOTALS + fate] += numbers[fate]
     return beams
 
 
@@ -217,8 +268,7 @@ def join_tile(
     low: Cells,
     high: Cells,
     surely_hit: Flags,
-    max_tiles: int,
-    count: Counts,
+    numbers: Counts,
     table: Indices,
     keys: Keys,
     dirty: Flags,
@@ -226,7 +276,7 @@ def join_tile(
     sure: Bits,
 ) -> np.int64:
     """Join a tile's layers [64, 64] (NaN: nothing) into the map; its number, LEFT_OUT or POOL_FULL."""
-    tile = tile_at(tile_key(ix, iy), max_tiles, count, table, keys, pool, sure)
+    tile = tile_at(tile_key(ix, iy), numbers, table, keys)
     if tile < 0:
         return tile
     for row in range(TILE_SIDE):

@@ -74,13 +74,13 @@ W_ROWS = 13
 LANES = 64
 B_CENTRE = 0  # x, y, z
 B_HALF = 3 * LANES  # x, y, z
-B_U = 6 * LANES  # |u|: x, y, z
+B_UX = 6 * LANES  # |u|
+B_UY = 7 * LANES
+B_UZ = 8 * LANES
 B_R = 9 * LANES
-B_C = 10 * LANES
-B_S = 11 * LANES
-B_RC = 12 * LANES
-B_RS = 13 * LANES
-B_SIZE = 14 * LANES
+B_RC = 10 * LANES
+B_RS = 11 * LANES
+B_SIZE = 12 * LANES
 
 
 def laser_geometry(laser: LaserConfig) -> Floats:
@@ -229,33 +229,59 @@ def box_block(
     Lane j of the row B_X is out[B_X + j]. Each inner loop runs over the lanes, so that the compiler makes it vector
     instructions. A lane without a usable range holds the box of range zero: nobody reads it.
     """
+    least, most = geometry[G_RANGE_MIN], geometry[G_RANGE_MAX]
+    x_c, y_c, z_c = pose[P_U_COS], pose[P_U_COS + 1], pose[P_U_COS + 2]
+    x_s, y_s, z_s = pose[P_U_SIN], pose[P_U_SIN + 1], pose[P_U_SIN + 2]
+    ranges, cosines, sines = ranges[first : first + count], cosines[first : first + count], sines[first : first + count]
     for j in range(count):
-        n = first + j
-        r = ranges[n] if usable_range(ranges[n], geometry) else 0.0
-        out[B_R + j], out[B_C + j], out[B_S + j] = r, cosines[n], sines[n]
-        out[B_RC + j], out[B_RS + j] = r * cosines[n], r * sines[n]
+        r, c, s = ranges[j], cosines[j], sines[j]
+        r = r if (least <= r) & (r <= most) else 0.0
+        out[B_R + j], out[B_RC + j], out[B_RS + j] = r, r * c, r * s
+        out[B_UX + j] = abs(x_c * c + x_s * s)
+        out[B_UY + j] = abs(y_c * c + y_s * s)
+        out[B_UZ + j] = abs(z_c * c + z_s * s)
     for i in range(3):
-        origin, along_c, along_s = pose[P_CENTRE + i], pose[P_U_COS + i], pose[P_U_SIN + i]
+        centre, half = B_CENTRE + i * LANES, B_HALF + i * LANES
+        origin, per_metre, constant = pose[P_CENTRE + i], pose[P_PER_METRE + i], pose[P_CONSTANT + i]
+        u_c, u_s = pose[P_U_COS + i], pose[P_U_SIN + i]
+        turn_x, turn_y, turn_z = pose[P_TURN_TURN + 3 * i], pose[P_TURN_TURN + 3 * i + 1], pose[P_TURN_TURN + 3 * i + 2]
+        stretch_x, stretch_y = pose[P_TURN_RANGE + 3 * i], pose[P_TURN_RANGE + 3 * i + 1]
+        stretch_z = pose[P_TURN_RANGE + 3 * i + 2]
+        c, s = P_W_COS + i, P_W_SIN + i
+        l1, l2, l3 = pose[P_LEVER + i], pose[P_LEVER + 3 + i], pose[P_LEVER + 6 + i]
+        c1, c2, c3, c4, c5, c6, c7 = (
+            pose[c],
+            pose[c + 3],
+            pose[c + 6],
+            pose[c + 9],
+            pose[c + 12],
+            pose[c + 15],
+            pose[c + 18],
+        )
+        s1, s2, s3, s4, s5, s6, s7 = (
+            pose[s],
+            pose[s + 3],
+            pose[s + 6],
+            pose[s + 9],
+            pose[s + 12],
+            pose[s + 15],
+            pose[s + 18],
+        )
         for j in range(count):
-            out[B_CENTRE + i * LANES + j] = origin + (out[B_RC + j] * along_c + out[B_RS + j] * along_s)
-        for j in range(count):
-            out[B_U + i * LANES + j] = abs(out[B_C + j] * along_c + out[B_S + j] * along_s)
-    for i in range(3):
-        half = B_HALF + i * LANES
-        constant, per_metre = pose[P_CONSTANT + i], pose[P_PER_METRE + i]
-        for j in range(count):
-            out[half + j] = constant + out[B_R + j] * per_metre
-        for k in range(7):
-            lever = pose[P_LEVER + 3 * k + i] if k < 3 else 0.0
-            along_c, along_s = pose[P_W_COS + 3 * k + i], pose[P_W_SIN + 3 * k + i]
-            for j in range(count):
-                out[half + j] += abs(lever + (out[B_RC + j] * along_c + out[B_RS + j] * along_s))
-        for k in range(3):
-            turn_turn, turn_range = pose[P_TURN_TURN + 3 * i + k], pose[P_TURN_RANGE + 3 * i + k]
-            for j in range(count):
-                out[half + j] += (out[B_R + j] * turn_turn + turn_range) * out[B_U + k * LANES + j]
-        for j in range(count):
-            out[half + j] *= GROW
+            r, rc, rs = out[B_R + j], out[B_RC + j], out[B_RS + j]
+            out[centre + j] = origin + (rc * u_c + rs * u_s)
+            h = constant + r * per_metre
+            h += abs(l1 + (rc * c1 + rs * s1))
+            h += abs(l2 + (rc * c2 + rs * s2))
+            h += abs(l3 + (rc * c3 + rs * s3))
+            h += abs(rc * c4 + rs * s4)
+            h += abs(rc * c5 + rs * s5)
+            h += abs(rc * c6 + rs * s6)
+            h += abs(rc * c7 + rs * s7)
+            h += (r * turn_x + stretch_x) * out[B_UX + j]
+            h += (r * turn_y + stretch_y) * out[B_UY + j]
+            h += (r * turn_z + stretch_z) * out[B_UZ + j]
+            out[half + j] = h * GROW
 
 
 @compiled
