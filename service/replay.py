@@ -1,6 +1,7 @@
 """A capture, replayed without ports: the recorded bytes through the same protocols into the same pipeline."""
 
-from collections.abc import Callable, Iterable
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 
 from drivers.capture import RawChunk
 from estimator.bounded_pose import BoundedPose
@@ -11,20 +12,18 @@ from service.pipeline import Pipeline
 from service.sample_queue import Arrival
 
 
-def replay(
-    loaded: LoadedConfig, chunks: Iterable[RawChunk], on_pose: Callable[[BoundedPose], None] | None = None
-) -> Pipeline:
-    """Feed recorded chunks, in their order and with their stamps; the pipeline that comes back has finished.
+def arrivals(loaded: LoadedConfig, chunks: Iterable[RawChunk], counts: Counter[str]) -> Iterator[Arrival]:
+    """What the drivers make of recorded chunks, in their order and with their stamps.
 
-    An empty chunk says that the port was opened then (docs/capture-format.md).
+    An empty chunk says that the port was opened then (docs/capture-format.md). Chunks of devices that the
+    configuration doesn't know are counted.
     """
     protocols = {device.name: device.protocol() for device in wiring(loaded)}
     lateness = {name: Lateness() for name in protocols}
-    pipeline = Pipeline(loaded.config, on_pose)
     for chunk in chunks:
         protocol = protocols.get(chunk.device)
         if protocol is None:
-            pipeline.counts["chunks_of_unknown_devices"] += 1
+            counts["chunks_of_unknown_devices"] += 1
             continue
         if chunk.deadline:
             protocol.advance(chunk.stamp_ns)
@@ -38,7 +37,16 @@ def replay(
         if chunk.late_ns:
             lateness[chunk.device].read_late(chunk.stamp_ns, chunk.late_ns)
         for sample in lateness[chunk.device].widened(protocol.receive_data(chunk.data, chunk.stamp_ns)):
-            pipeline.step(Arrival(chunk.device, sample, chunk.stamp_ns))
+            yield Arrival(chunk.device, sample, chunk.stamp_ns)
         protocol.data_to_send()  # questions to a device that isn't there
+
+
+def replay(
+    loaded: LoadedConfig, chunks: Iterable[RawChunk], on_pose: Callable[[BoundedPose], None] | None = None
+) -> Pipeline:
+    """Feed recorded chunks to the filter and the mapper; the pipeline that comes back has finished."""
+    pipeline = Pipeline(loaded.config, on_pose)
+    for arrival in arrivals(loaded, chunks, pipeline.counts):
+        pipeline.step(arrival)
     pipeline.finish()
     return pipeline

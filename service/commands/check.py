@@ -1,5 +1,6 @@
 """`terrabound check`: is everything there, and does it speak as configured?"""
 
+import sys
 import threading
 import time
 from dataclasses import astuple
@@ -13,6 +14,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from drivers.clock import SystemClock
+from service.commands.check_bounds import check_bounds
 from service.config import load
 from service.devices import Device, wiring
 from service.health import DeviceState, Health
@@ -20,23 +22,38 @@ from service.lifecycle import stop_on_signals
 from service.reader import Reader
 from service.sample_queue import SampleQueue
 
+EXIT_USAGE = 2
+
 
 def check(
     *,
-    config: Path,
+    config: Path | None = None,
+    bounds: Path | None = None,
+    report: Path | None = None,
     seconds: Annotated[float, Parameter(validator=validators.Number(gte=0, lte=600))] = 8.0,
 ) -> int:
     """Check the configuration, then listen to every device and say what is wrong and how to mend it.
 
-    Ends with 78 if the configuration is wrong, 1 if a device is missing or silent, 0 if all is well.
+    Ends with 78 if the configuration is wrong, 1 if a device is missing or silent, 0 if all is well. With --bounds a
+    recorded drive is held against the declared bounds instead: 1 if it contradicts one.
 
     Parameters
     ----------
     config
-        The robot's TOML file.
+        The robot's TOML file. With --bounds: instead of the one in the capture.
+    bounds
+        A capture of the standing and the driving robot: how much of each declared bound do its readings use up,
+        which bound do they contradict, which look too wide?
+    report
+        With --bounds: write the same to this file as JSON.
     seconds
         How long to listen; 0 checks the configuration alone.
     """
+    if bounds is not None:
+        return check_bounds(bounds, config, report)
+    if config is None:
+        print("terrabound check: name the robot's TOML file with --config, or a capture with --bounds", file=sys.stderr)
+        return EXIT_USAGE
     console = Console()
     loaded = load(config)
     devices = wiring(loaded)

@@ -44,7 +44,7 @@ def replay(
         Through pseudo-terminals and the whole service instead of directly.
     """
     recording = read_capture(capture)
-    loaded = _configuration(recording, capture, config)
+    loaded = configuration_of(recording, capture, config)
     with ExitStack() as stack:
         on_pose: Callable[[BoundedPose], None] | None = None
         if poses is not None:
@@ -53,7 +53,7 @@ def replay(
             def on_pose(pose: BoundedPose) -> None:
                 print(write_pose(pose).decode(), file=lines)
 
-        chunks = _with_progress(recording, stack)
+        chunks = with_progress(recording, stack)
         pipeline = replay_through_ports(loaded, chunks, on_pose) if ports else replay_directly(loaded, chunks, on_pose)
     _report(pipeline, recording)
     if map is not None:
@@ -62,7 +62,7 @@ def replay(
     return 0
 
 
-def _configuration(recording: Capture, path: Path, override: Path | None) -> LoadedConfig:
+def configuration_of(recording: Capture, path: Path, override: Path | None) -> LoadedConfig:
     """The configuration to replay with."""
     if override is not None:
         return load(override)
@@ -73,7 +73,7 @@ def _configuration(recording: Capture, path: Path, override: Path | None) -> Loa
     )
 
 
-def _with_progress(recording: Capture, stack: ExitStack) -> Iterator[RawChunk]:
+def with_progress(recording: Capture, stack: ExitStack) -> Iterator[RawChunk]:
     """The chunks, with a live line on a terminal."""
     console = Console(stderr=True)
     progress = stack.enter_context(

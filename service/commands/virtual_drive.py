@@ -110,11 +110,12 @@ def drive_virtually(
     duration_s: float,
     true_devices: DevicesConfig | None = None,
     meddle: DevicesMeddle | None = None,
+    on_arrival: Callable[[Arrival], None] = lambda arrival: None,
 ) -> VirtualDrive:
     """Start the scanner, stand still, drive for `duration_s` (standstill included), and finish the map.
 
     `true_devices` are what the emulated errors keep to, where that is not what `loaded` declares. `meddle` is called
-    before each slice of the drive with the wires and the seconds driven.
+    before each slice of the drive with the wires and the seconds driven; `on_arrival` gets every sample.
     """
     devices = loaded.config.devices if true_devices is None else true_devices
     world = World(
@@ -142,7 +143,9 @@ def drive_virtually(
             arrived = wire.exchange(now_ns)
             samples[name] += len(arrived)
             for sample in arrived:
-                pipeline.step(Arrival(name, sample, now_ns))
+                arrival = Arrival(name, sample, now_ns)
+                on_arrival(arrival)
+                pipeline.step(arrival)
         if drive_start_ns is None and laser.streaming and laser.scans_sent > 0 and encoders.is_open:
             drive_start_ns = now_ns
             world.begin_drive(now_ns)
