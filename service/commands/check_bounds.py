@@ -51,7 +51,7 @@ def _print(usages: list[Usage], begin_ns: int, seconds: float, recording: Captur
     console.print(title, markup=False, highlight=False, soft_wrap=True)
     table = Table(
         Column("bound", overflow="fold"), Column("declared", justify="right"),
-        Column("used at least", justify="right"), Column("looks like", justify="right"),
+        Column("used at least", justify="right"), Column("at most, it seems", justify="right"),
         "verdict", Column("worst reading", overflow="fold"), box=SIMPLE,
     )  # fmt: skip
     for usage in usages:
