@@ -150,9 +150,13 @@ def _stretches(sensor: Inertial, stretches: list[tuple[int, int]]) -> list[NDArr
     return [inside == k for k in range(len(stretches)) if np.count_nonzero(inside == k) > 1]
 
 
-def largest_change(values: Array, time_s: Array, rate: float) -> Array:
-    """[n] how far each value is from any before it, less `rate` times the time between them."""
-    rising, falling = values - rate * time_s, values + rate * time_s
-    up = rising - np.minimum.accumulate(rising)
-    down = np.maximum.accumulate(falling) - falling
+def largest_change(values: Array, time_s: Array, rate: float, above: Array | None = None) -> Array:
+    """[n] how far each value is from any before it, less `rate` times the time between them.
+
+    With `above` each is an interval [values, above]: the gap between the two.
+    """
+    above = values if above is None else above
+    way = rate * time_s
+    up = values - way - np.minimum.accumulate(above - way)
+    down = np.maximum.accumulate(values + way) - (above + way)
     return np.maximum(up, down)

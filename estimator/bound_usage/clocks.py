@@ -4,12 +4,15 @@ read - device = offset + latency: the offset of two clocks is unknown but drifts
 shows how much of the declared interval of latency is used; the interval's place is not seen.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.config import GpsConfig, ImuConfig
 from estimator.bound_usage.at_rest import largest_change
 from estimator.bound_usage.ledger import Ledger
-from estimator.bound_usage.recording import Array, Recording, Whole
+from estimator.bound_usage.recording import Array, Recording, Stamps, Whole
 
 IMU_LATENCY, IMU_DRIFT = "devices.imu.latency_ms", "devices.imu.clock_drift_ppm"
 GPS_LATENCY = "devices.gps.latency_ms"
@@ -24,54 +27,70 @@ LONG_S = 60.0
 def weigh_clocks(ledger: Ledger, recording: Recording, imu: ImuConfig, gps: GpsConfig | None) -> None:
     """The inertial board's clock and latency, and the receiver's latency."""
     packets = recording.packets
-    read_ns = packets.stamps.latest_ns + round(imu.latency_ms[0] * 1e6)
     for epoch in np.unique(packets.epoch):
         chosen = (packets.epoch == epoch) & np.isfinite(packets.device_us)
         if np.count_nonzero(chosen) > 1:
-            behind = _behind(read_ns[chosen], packets.device_us[chosen] * 1e-3)
-            _latency(ledger, IMU_LATENCY, read_ns[chosen], behind, imu.clock_drift_ppm, RESOLUTION_MS)
-            _clock_drift(ledger, read_ns[chosen], behind)
-    if gps is not None:
-        read_ns = recording.fix_stamps.latest_ns + round(gps.latency_ms[0] * 1e6)
-        chosen = np.isfinite(recording.utc_s)
-        if np.count_nonzero(chosen) > 1:
-            utc_ms = (recording.utc_s[chosen] - recording.utc_s[chosen][0]) * 1e3
-            _latency(ledger, GPS_LATENCY, read_ns[chosen], _behind(read_ns[chosen], utc_ms), HOST_DRIFT_PPM, 0.0)
+            offset = _offset(packets.stamps[chosen], packets.device_us[chosen] * 1e-3)
+            _latency(ledger, IMU_LATENCY, offset, imu.clock_drift_ppm, RESOLUTION_MS)
+            _clock_drift(ledger, offset)
+    chosen = np.isfinite(recording.utc_s)
+    if gps is not None and np.count_nonzero(chosen) > 1:
+        offset = _offset(recording.fix_stamps[chosen], recording.utc_s[chosen] * 1e3)
+        _latency(ledger, GPS_LATENCY, offset, HOST_DRIFT_PPM, 0.0)
 
 
-def _behind(read_ns: Whole, device_ms: Array) -> Array:
-    """[n] ms from the device's stamp to the read, up to a constant."""
-    return np.asarray((read_ns - read_ns[0]) * 1e-6 - (device_ms - device_ms[0]))
+@dataclass(frozen=True, slots=True, eq=False)
+class Offset:
+    """Host time less device time, as each reading's stamp bounds it. [n] each."""
+
+    when_ns: Whole
+    seconds: Array
+    low_ms: Array
+    """A reading that came late because the host slept has a stamp that opens backward: no latency is blamed for it."""
+    high_ms: Array
+
+    def __getitem__(self, chosen: NDArray[np.bool_]) -> "Offset":
+        return Offset(self.when_ns[chosen], self.seconds[chosen], self.low_ms[chosen], self.high_ms[chosen])
 
 
-def _latency(ledger: Ledger, key: str, read_ns: Whole, behind_ms: Array, drift_ppm: float, resolution: float) -> None:
-    """Inside short pieces of time, so that drift hardly counts."""
-    seconds = (read_ns - read_ns[0]) * 1e-9
-    for piece in range(int(seconds[-1] / PIECE_S) + 1):
-        inside = (seconds >= piece * PIECE_S) & (seconds < (piece + 1) * PIECE_S)
-        if np.count_nonzero(inside) > 1:
-            spread = largest_change(behind_ms[inside], seconds[inside], drift_ppm * 1e-3)
+def _offset(stamps: Stamps, device_ms: Array) -> Offset:
+    begin_ns = stamps.latest_ns[0]
+    device = device_ms - device_ms[0]
+    return Offset(
+        stamps.latest_ns,
+        (stamps.latest_ns - begin_ns) * 1e-9,
+        (stamps.earliest_ns - begin_ns) * 1e-6 - device,
+        (stamps.latest_ns - begin_ns) * 1e-6 - device,
+    )
+
+
+def _latency(ledger: Ledger, key: str, offset: Offset, drift_ppm: float, resolution: float) -> None:
+    """The constant offset must be in all intervals of a short piece of time; what lacks is lacking in the latency."""
+    width = ledger.accounts[key].declared
+    for piece in range(int(offset.seconds[-1] / PIECE_S) + 1):
+        inside = offset[(offset.seconds >= piece * PIECE_S) & (offset.seconds < (piece + 1) * PIECE_S)]
+        if len(inside.seconds) > 1:
+            lacking = largest_change(inside.low_ms, inside.seconds, drift_ppm * 1e-3, inside.high_ms)
+            spread = np.maximum(width + lacking, 0.0)
             ledger.charge(
-                key, needed=np.maximum(spread - resolution, 0.0), seen=spread, when_ns=read_ns[inside],
+                key, needed=np.maximum(spread - resolution, 0.0), seen=spread, when_ns=inside.when_ns,
                 values=spread, worst="{} ms later, or sooner, than another one", given=(IMU_DRIFT,),
             )  # fmt: skip
 
 
-def _clock_drift(ledger: Ledger, read_ns: Whole, behind_ms: Array) -> None:
-    """What latency can't explain of a change over a long time."""
-    seconds = (read_ns - read_ns[0]) * 1e-9
+def _clock_drift(ledger: Ledger, offset: Offset) -> None:
+    """Between two pieces of time the offset changed by more than their stamps allow."""
+    seconds = offset.seconds
     block = np.flatnonzero(np.diff((seconds / PIECE_S).astype(int), prepend=-1))
-    low = np.minimum.reduceat(behind_ms, block)
-    high = np.maximum.reduceat(behind_ms, block)
+    low, high = np.maximum.reduceat(offset.low_ms, block), np.minimum.reduceat(offset.high_ms, block)
     begin, end = seconds[block], seconds[np.append(block[1:], len(seconds)) - 1]
-    latency = ledger.trusted(IMU_LATENCY) + RESOLUTION_MS
     for j in range(1, len(block)):
         apart = end[j] - begin[:j]
-        change = np.maximum(high[j] - low[:j], high[:j] - low[j]) - latency
+        change = np.maximum(low[j] - high[:j], low[:j] - high[j]) - RESOLUTION_MS
         far = apart > LONG_S
-        drift_ppm = np.abs(low[j] - low[:j]) / np.maximum(begin[j] - begin[:j], 1.0) * 1e3
+        drift_ppm = np.abs(high[j] - high[:j]) / np.maximum(begin[j] - begin[:j], 1.0) * 1e3
         ledger.charge(
             IMU_DRIFT, needed=np.where(far, np.maximum(change, 0.0) / apart * 1e3, np.nan),
-            seen=np.where(far, drift_ppm, np.nan), when_ns=np.full(j, read_ns[block[j]]), values=apart,
+            seen=np.where(far, drift_ppm, np.nan), when_ns=np.full(j, offset.when_ns[block[j]]), values=apart,
             worst="the board's clock against the host's over {} s", given=(IMU_LATENCY,),
         )  # fmt: skip

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.samples import Fix, Sample
+from drivers.samples import Fix, InertialSample, Sample, Stamp
 from estimator.bound_usage.at_rest import largest_change
 from estimator.bound_usage.ledger import Ledger, Usage, Verdict, rounded_up
 from estimator.bound_usage.usage import bound_usage
@@ -145,6 +145,33 @@ def test_the_largest_change_is_the_one_between_any_two_values() -> None:
             max(abs(values[j] - values[i]) - rate * (times[j] - times[i]) for i in range(j + 1)) for j in range(60)
         ]
         np.testing.assert_allclose(largest_change(values, times, rate), expected, atol=1e-12)
+
+
+def inertial(k: int, latency_ms: float, opened_ms: float = 0.0, drift_ppm: float = 0.0) -> InertialSample:
+    """Packet k of a board that reads every 100 ms, declared latency 0 to 11 ms."""
+    read_ns = 10**9 + round((100.0 * k * (1.0 + drift_ppm * 1e-6) + latency_ms) * 1e6)
+    stamp = Stamp(read_ns - 11_000_000 - round(opened_ms * 1e6), read_ns)
+    return InertialSample(stamp, "HIGHRES_IMU", 0, 100_000 * k, gyro_rps=(0.0, 0.0, 0.0))
+
+
+def test_a_latency_that_varies_more_than_declared_is_contradicted() -> None:
+    """By 14 ms where 11 are declared; a read that the host itself was late for, and said so, proves nothing."""
+    config = declared().config
+    for opened_ms, verdict in ((0.0, Verdict.CONTRADICTED), (5.0, Verdict.USED)):
+        packets = [inertial(k, 14.0 if k == 20 else 0.0, opened_ms if k == 20 else 0.0) for k in range(50)]
+        usages = {usage.key: usage for usage in bound_usage(config.robot, config.filter, config.devices, packets)}
+        assert usages["devices.imu.latency_ms"].verdict is verdict
+
+
+def test_a_clock_that_drifts_more_than_declared_is_contradicted() -> None:
+    """200 ppm over two minutes, where 50 are declared; the latency is not blamed."""
+    config = declared().config
+    packets = [inertial(k, 5.0 + 5.0 * (-1) ** k, drift_ppm=200.0) for k in range(1200)]
+    usages = {usage.key: usage for usage in bound_usage(config.robot, config.filter, config.devices, packets)}
+    drift = usages["devices.imu.clock_drift_ppm"]
+    assert drift.verdict is Verdict.CONTRADICTED
+    assert 50.0 < drift.needed <= 201.0
+    assert usages["devices.imu.latency_ms"].verdict is Verdict.USED
 
 
 def test_a_contradicted_bound_is_not_held_against_the_others() -> None:
