@@ -5,9 +5,9 @@ the owner can know them.
 """
 
 from math import ceil, floor
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, ConfigDict, Field
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
 from pydantic.dataclasses import dataclass
 
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
@@ -36,6 +36,9 @@ READ_ALLOWANCE_NS = 6_000_000
 """An idle reader looks at its port every 4 ms and takes a little to wake up."""
 
 
+MirrorPhaseMs = Annotated[tuple[float, float], AfterValidator(_rising)]
+
+
 def latency_ns(latency_ms: tuple[float, float]) -> tuple[int, int]:
     """[least, most] in whole nanoseconds, rounded outward."""
     return floor(latency_ms[0] * 1e6), ceil(latency_ms[1] * 1e6)
@@ -48,13 +51,20 @@ class LaserConfig:
     port: str
     baud: Literal[9600, 19200, 38400, 500000] = 500000
     """Rate to stream at; the scanner is found at any rate."""
-    scan_angle_deg: Literal[100, 180] = 180
+    scan_angle_deg: Literal[90, 100, 180] = 180
+    """90 degrees: the LMS Fast, at 0.5 degree."""
     resolution_deg: Resolution = 1.0
+    """180 degrees at 0.25 degree come as interlaced scans, one a mirror turn."""
     unit: Literal["mm", "cm"] = "mm"
     write_configuration: bool = True
     """May the driver write the scanner's EEPROM when its unit or measuring mode differs?"""
     latency_ms: LatencyMs
     """From the first byte's being sent to its being read."""
+    mirror_phase_ms: MirrorPhaseMs = (-6.66, 6.66)
+    """[least, most] by which beams are shot later than if each telegram left just when the mirror begins a new turn.
+
+    The manual leaves this open. By default the telegram leaves at some time within one turn after its last shot.
+    """
     range_bound_m: Positive
     """Range error: systematic + statistical + resolution."""
     angle_bound_deg: NotNegative
@@ -72,6 +82,12 @@ class LaserConfig:
     mount_position_bound_m: NotNegative
     mount_angle_bound_deg: NotNegative
     """Calibration error of each mounting angle."""
+
+    @model_validator(mode="after")
+    def _variant_exists(self) -> Self:
+        if self.scan_angle_deg == 90 and self.resolution_deg != 0.5:
+            raise ValueError("resolution_deg: at 90 degrees (LMS Fast) the scanner knows 0.5 degree alone")
+        return self
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

@@ -12,7 +12,7 @@ DEGRADED: bytes come, but no samples, or dirt among them. State is worked out wh
 
 import threading
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
 from typing import Any
 
@@ -41,9 +41,10 @@ class DeviceState(StrEnum):
 class _Device:
     """What is remembered of one device."""
 
-    def __init__(self, stale_after_ns: int, counts: Mapping[str, int]) -> None:
+    def __init__(self, stale_after_ns: int, counts: Mapping[str, int], findings: Callable[[], Sequence[str]]) -> None:
         self.stale_after_ns = stale_after_ns
         self.counts = counts
+        self.findings = findings
         self.open = False
         self.failure: str | None = None
         self.openings = 0
@@ -117,10 +118,19 @@ class Health:
         self._alive_ns: dict[str, int] = {}
         """When each reader last looked up."""
 
-    def watch(self, name: str, stale_after_s: float, counts: Mapping[str, int] | None = None) -> None:
-        """Keep an eye on a device: silence longer than `stale_after_s` is a fault; `counts` are its protocol's own."""
+    def watch(
+        self,
+        name: str,
+        stale_after_s: float,
+        counts: Mapping[str, int] | None = None,
+        findings: Callable[[], Sequence[str]] = tuple,
+    ) -> None:
+        """Keep an eye on a device: silence longer than `stale_after_s` is a fault.
+
+        `counts` are its protocol's own; `findings()` gives sentences about what the device says of itself.
+        """
         with self._lock:
-            self._devices[name] = _Device(round(stale_after_s * 1e9), {} if counts is None else counts)
+            self._devices[name] = _Device(round(stale_after_s * 1e9), {} if counts is None else counts, findings)
 
     def trouble(self, what: str, text: str | None) -> None:
         """Something beside the devices fails (`recording`, `saving`), and the service goes on; None: it works again."""
@@ -238,4 +248,5 @@ class Health:
             "samples_per_s": round(samples_per_s, 2),
             "dropped": self._drops[name],
             "counts": dict(device.counts),
+            "findings": list(device.findings()),
         }

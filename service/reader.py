@@ -41,7 +41,12 @@ class Reader:
         self._queue = queue
         self._health = health
         self._capture = capture
-        health.watch(device.name, device.stale_after_s, self.protocol.counts)
+        health.watch(
+            device.name,
+            device.stale_after_s,
+            self.protocol.counts,
+            lambda: getattr(self.protocol, "findings", ()),
+        )
         self._acknowledge = acknowledge
         self._lateness = Lateness()
         self._total_bytes = 0

@@ -5,22 +5,24 @@ from dataclasses import dataclass
 
 from drivers.config import LaserConfig, latency_ns
 from drivers.samples import Scan, Stamp
+from drivers.sick_lms.error_memory import ErrorEntry, parse_errors
+from drivers.sick_lms.expected_scans import ExpectedScans
+from drivers.sick_lms.findings import error_findings, status_findings
 from drivers.sick_lms.framing import SILENCE_WITHIN_FRAME_MS, Frame, FrameReader
-from drivers.sick_lms.measurements import (
-    CM,
-    DISTANCE_BITS,
-    MM,
-    TURN_NS,
-    ValueFormat,
-    full_sweep,
-    partial_sweep,
-    scan_of,
+from drivers.sick_lms.measurements import CM, DISTANCE_BITS, MM, ValueFormat
+from drivers.sick_lms.startup import (
+    MOST_NAKS,
+    MOST_WRITES,
+    STEPS,
+    TRANSITIONS,
+    WAITS_MS,
+    Found,
+    Outcome,
+    State,
+    goal_of,
 )
-from drivers.sick_lms.range_telegrams import RangeTelegram, count_word
-from drivers.sick_lms.startup import MOST_WRITES, STEPS, TRANSITIONS, WAITS_MS, Found, Goal, Outcome, State
 from drivers.sick_lms.telegrams import (
     NAK,
-    OVERHEAD,
     POWER_ON,
     RANGES,
     REFUSED,
@@ -42,6 +44,8 @@ NAK_PAUSE_MS = 30
 LONGEST_ANSWER = 170
 """Bytes of the longest answer but a scan: the status telegram."""
 LEAST_WATCHDOG_MS = 500
+CLOCK_TOLERANCE = 0.03
+"""A line's true rate differs from its nominal one by less than this, or nothing could be read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,20 +57,6 @@ class Identity:
     serial: str
 
 
-def goal_of(config: LaserConfig) -> Goal:
-    """What the configuration asks of the scanner."""
-    interlaced = (config.scan_angle_deg, config.resolution_deg) == (180, 0.25)
-    return Goal(
-        # 180 degrees at 0.25 degree are partial scans, which always cover 180 degrees; the scanner itself is set to
-        # 100 degrees, the only angle at which it knows this resolution.
-        variant=Variant(100 if interlaced else config.scan_angle_deg, round(100 * config.resolution_deg)),
-        interlaced=interlaced,
-        baud=config.baud,
-        unit=MM if config.unit == "mm" else CM,
-        reach_m=config.range_max_m,
-    )
-
-
 class SickLmsProtocol:
     """A conversation with one scanner, from wherever it stands to a stream of scans, and back there after any loss."""
 
@@ -74,14 +64,19 @@ class SickLmsProtocol:
         self.counts: Counter[str] = Counter()
         self.identity: Identity | None = None
         """Known once the scanner has answered."""
+        self.errors: tuple[ErrorEntry, ...] = ()
+        """What its error memory held when it was found."""
+        self.operating_hours: float | None = None
+        """Where it counts them."""
         self._write_allowed = config.write_configuration
         self._goal = goal_of(config)
         self._latency_ns = latency_ns(config.latency_ms)
+        self._phase_ns = latency_ns(config.mirror_phase_ms)
         self._rates = tuple(dict.fromkeys((config.baud, *RATES)))
         self._baud: int = config.baud
         self._reader = FrameReader(self.counts)
         self._found = Found(config.baud)
-        self._format = ValueFormat(DISTANCE_BITS[0], self._goal.unit)
+        self._expected: ExpectedScans | None = None  # since the stream was asked for
         self._outbox = bytearray()
         self._trouble = ""
         self._state = State.TUNING
@@ -89,6 +84,8 @@ class SickLmsProtocol:
         self._release_ns = 0  # when frames that the reader holds back are due
         self._released: list[Scan] = []
         self._tries = 0
+        self._naks = 0
+        self._short_reach_m: float | None = None
         self._acknowledged = False
         self._heard = False  # an intact telegram or an ACK, since the request was sent first
         self._writes = 0
@@ -111,6 +108,19 @@ class SickLmsProtocol:
         if self._state in (State.TUNING, State.FINDING):
             return f"finding the scanner at {self._baud} baud"
         return str(self._state.value)
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """What ails the scanner, in sentences for people."""
+        found = [*status_findings(self._expected.status if self._expected else 0), *error_findings(self.errors)]
+        if self._found.status is not None and self._found.status.defective:
+            found.append("the scanner says that it is defective")
+        if self._short_reach_m is not None:
+            found.append(
+                f"the scanner's measuring mode reaches {self._short_reach_m:.1f} m, short of range_max_m; "
+                "set write_configuration = true, or range_max_m to that"
+            )
+        return tuple(found)
 
     @property
     def streaming(self) -> bool:
@@ -173,6 +183,12 @@ class SickLmsProtocol:
         if byte == NAK:
             self.counts["naks"] += 1
             self._heard = True
+            self._naks += 1
+            if self._naks <= MOST_NAKS:
+                self._tries -= 1
+            if self._state is State.WRITING_CONFIGURATION:  # not understood, so not done
+                self._writes -= 1
+                self.counts["configuration_writes"] -= 1
             self._deadline_ns = now_ns + NAK_PAUSE_MS * MS  # where `advance` repeats the request
         else:
             self._acknowledged = True
@@ -192,6 +208,8 @@ class SickLmsProtocol:
         elif step is not None and frame.command == REFUSED:
             self.counts["refusals"] += 1
             self._trouble = f"the scanner refused {self._state.value}"
+            if self._state is State.SETTING_VARIANT:
+                self._trouble += "; an LMS Fast has scan_angle_deg = 90 and resolution_deg = 0.5 alone"
             self._end(Outcome.REFUSED, now_ns)
         else:
             self.counts["stray_answers"] += 1
@@ -205,12 +223,17 @@ class SickLmsProtocol:
             return None
         self.counts["scans"] += 1
         self._deadline_ns = now_ns + self._watchdog_ns()
-        telegram = RangeTelegram.parse(frame.payload)
-        sweep = partial_sweep(telegram.quarter) if self._goal.interlaced else full_sweep(self._goal.variant)
+        assert self._expected is not None  # STARTING came before
+        return self._expected.scan(frame.payload, self._sent(frame).shifted(*self._phase_ns))
+
+    def _sent(self, frame: Frame) -> Stamp:
+        """When the scanner began to send a telegram.
+
+        A byte is read when its last bit has come; and bytes that came behind it with the same read had come, too.
+        """
         least, most = self._latency_ns
-        # A byte is read when its last bit has come.
-        sent = Stamp(frame.stamp_ns - most - self._line_ns(1), frame.stamp_ns - least)
-        return scan_of(telegram, sweep, self._format.decode(telegram.codes), sent)
+        surely_ns = max(least, int(self._line_ns(frame.bytes_read) / (1 + CLOCK_TOLERANCE)))
+        return Stamp(frame.stamp_ns - max(most + self._line_ns(1), surely_ns), frame.stamp_ns - surely_ns)
 
     def _judge(self, payload: bytes) -> Outcome:
         """What the awaited answer means."""
@@ -220,12 +243,16 @@ class SickLmsProtocol:
                 self._trouble = f"{self._state.value}: {reason}"
                 return Outcome.REFUSED
             case Command.TYPE.answer:
-                kind = DeviceType.parse(payload)
+                self._found.kind = kind = DeviceType.parse(payload)
                 self.identity = Identity(kind.model, kind.text.split(";")[-1].strip(), "")
             case Command.STATUS.answer:
                 self._reader.source = payload[-1] & SOURCE
                 self._found.status = status = DeviceStatus.parse(payload)
                 self.identity = Identity(self.identity.type if self.identity else "", status.firmware, status.serial)
+            case Command.ERRORS.answer:
+                self.errors = parse_errors(payload)
+            case Command.COUNTERS.answer:
+                self.operating_hours = int.from_bytes(payload[1:3], "little") / 2
             case Command.READ_CONFIGURATION.answer:
                 return self._judge_configuration(Configuration.parse(payload))
             case Command.WRITE_CONFIGURATION.answer if payload[1] != 1:
@@ -241,6 +268,7 @@ class SickLmsProtocol:
 
     def _judge_configuration(self, found: Configuration) -> Outcome:
         self._found.configuration = found
+        self._short_reach_m = None
         wanted = self._goal.configuration(found)
         if found == wanted:
             return Outcome.DONE
@@ -248,7 +276,7 @@ class SickLmsProtocol:
             return Outcome.DIFFERS
         # The declared range error holds for the declared unit only. A shorter reach alone does no harm.
         if found.unit == wanted.unit and found.measuring_mode in DISTANCE_BITS and not self._goal.interlaced:
-            self.counts["short_reach"] += 1
+            self._short_reach_m = ValueFormat(DISTANCE_BITS[found.measuring_mode], found.unit).reach_m
             return Outcome.DONE
         units = {CM: "cm", MM: "mm"}
         self._trouble = (
@@ -287,11 +315,9 @@ class SickLmsProtocol:
             self._expect_scans()
         self._state = state
         self._tries = 0
+        self._naks = 0
         self._heard = False
         if step is not None:
-            if state is State.WRITING_CONFIGURATION:
-                self._writes += 1
-                self.counts["configuration_writes"] += 1
             self._send(now_ns)
         elif state is State.STREAMING:
             self._outbox.clear()
@@ -305,6 +331,9 @@ class SickLmsProtocol:
         data = request(STEPS[self._state].request(self._goal, self._found))
         self._outbox[:] = data
         self._tries += 1
+        if self._state is State.WRITING_CONFIGURATION:
+            self._writes += 1
+            self.counts["configuration_writes"] += 1
         self._acknowledged = False
         self._reader.expect_acknowledgement()
         patience = ACK_PATIENCE_MS * MS + self._latency_ns[1]
@@ -318,21 +347,14 @@ class SickLmsProtocol:
         """From here on exactly these scans can be real."""
         configuration = self._found.configuration
         assert configuration is not None  # no path to STARTING avoids reading it
-        unit = configuration.unit
-        self._format = ValueFormat(DISTANCE_BITS[configuration.measuring_mode], unit)
-        if self._goal.interlaced:
-            words = [count_word(partial_sweep(quarter).count, unit, True, quarter) for quarter in range(4)]
-        else:
-            words = [count_word(full_sweep(self._goal.variant).count, unit)]
-        beside_values = 6 if configuration.appends_indices else 4
-        self._reader.scan_headers = frozenset((beside_values + 2 * (word & 0x3FF), word) for word in words)
+        self._expected = ExpectedScans(self._goal, configuration, self.counts)
+        self._reader.scan_headers = self._expected.headers
 
     def _line_ns(self, size: int) -> int:
         """Time that `size` bytes need on the line: 10 bits each."""
         return size * 10_000_000_000 // self._baud
 
     def _watchdog_ns(self) -> int:
-        """Three scan periods: a slow line sends only every n-th scan."""
-        sweep = partial_sweep(0) if self._goal.interlaced else full_sweep(self._goal.variant)
-        period = self._line_ns(2 * sweep.count + 4 + OVERHEAD) + sweep.turns * TURN_NS
-        return max(LEAST_WATCHDOG_MS * MS, 3 * period)
+        """Three scan periods."""
+        assert self._expected is not None  # STARTING came before
+        return max(LEAST_WATCHDOG_MS * MS, 3 * self._expected.period_ns(self._baud))

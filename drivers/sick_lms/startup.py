@@ -11,25 +11,31 @@ an installation mode that somebody left. Three points need care:
 - A rate change is answered at the old rate. Only then does the line change, and nothing is sent until both ends have
   settled.
 - Writing the configuration wears the EEPROM out. It happens only after reading it and finding a difference, is never
-  repeated without reading again, and at most `MOST_WRITES` times.
+  repeated without reading again (but after a NAK, which says that it was not even understood), and at most
+  `MOST_WRITES` times.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, auto
 
-from drivers.sick_lms.measurements import DISTANCE_BITS, WIDEST_MODE, ValueFormat
+from drivers.config import LaserConfig
+from drivers.sick_lms.measurements import CM, DISTANCE_BITS, MM, WIDEST_MODE, ValueFormat
 from drivers.sick_lms.telegrams import (
     BAUD_MODES,
+    FAST,
     PASSWORD,
     Command,
     Configuration,
     DeviceStatus,
+    DeviceType,
     Mode,
     Variant,
 )
 
 MOST_WRITES = 2
+MOST_NAKS = 5
+"""Requests damaged on the line, one after the other, before one counts as a try."""
 
 
 class State(Enum):
@@ -39,6 +45,8 @@ class State(Enum):
     FINDING = "finding the scanner"
     IDENTIFYING = "reading its type"
     READING_STATUS = "reading its status"
+    READING_ERRORS = "reading its error memory"
+    READING_COUNTERS = "reading its operating hours"
     READING_CONFIGURATION = "reading its configuration"
     ENTERING_INSTALLATION = "entering installation mode"
     WRITING_CONFIGURATION = "writing its configuration"
@@ -96,12 +104,27 @@ class Goal:
         return ValueFormat(bits, self.unit).reach_m >= min(self.reach_m, ValueFormat(widest, self.unit).reach_m)
 
 
+def goal_of(config: LaserConfig) -> Goal:
+    """What the configuration asks of the scanner."""
+    interlaced = (config.scan_angle_deg, config.resolution_deg) == (180, 0.25)
+    return Goal(
+        # 180 degrees at 0.25 degree are partial scans, which always cover 180 degrees; the scanner itself is set to
+        # 100 degrees, the only angle at which it knows this resolution.
+        variant=Variant(100 if interlaced else config.scan_angle_deg, round(100 * config.resolution_deg)),
+        interlaced=interlaced,
+        baud=config.baud,
+        unit=MM if config.unit == "mm" else CM,
+        reach_m=config.range_max_m,
+    )
+
+
 @dataclass(slots=True)
 class Found:
     """What is known of the scanner, since FINDING."""
 
     baud: int
     """Rate at which it was found."""
+    kind: DeviceType | None = None
     status: DeviceStatus | None = None
     configuration: Configuration | None = None
 
@@ -135,8 +158,15 @@ def _write_configuration(goal: Goal, found: Found) -> bytes:
 
 
 def _variant_stands(goal: Goal, found: Found) -> bool:
+    """The LMS Fast has one variant, and does not know the request for another."""
     status = found.status
+    if goal.variant == FAST and found.kind is not None and found.kind.is_fast:
+        return True
     return status is not None and Variant(status.angle_deg, status.resolution_cdeg) == goal.variant
+
+
+def _counts_no_hours(goal: Goal, found: Found) -> bool:
+    return found.kind is None or not found.kind.counts_hours
 
 
 def _rate_stands(goal: Goal, found: Found) -> bool:
@@ -147,6 +177,8 @@ STEPS = {
     State.FINDING: Step(_mode(Mode.STOP), Command.MODE.answer, 3000),
     State.IDENTIFYING: Step(_ask(Command.TYPE), Command.TYPE.answer, 300),
     State.READING_STATUS: Step(_ask(Command.STATUS), Command.STATUS.answer, 300),
+    State.READING_ERRORS: Step(_ask(Command.ERRORS), Command.ERRORS.answer, 300),
+    State.READING_COUNTERS: Step(_ask(Command.COUNTERS), Command.COUNTERS.answer, 300, needless=_counts_no_hours),
     State.READING_CONFIGURATION: Step(_ask(Command.READ_CONFIGURATION), Command.READ_CONFIGURATION.answer, 300),
     State.ENTERING_INSTALLATION: Step(_mode(Mode.INSTALLATION, PASSWORD), Command.MODE.answer, 3000),
     State.WRITING_CONFIGURATION: Step(
@@ -189,7 +221,18 @@ TRANSITIONS = {
         Outcome.SILENT: State.READING_STATUS,
     },
     State.READING_STATUS: {
+        Outcome.DONE: State.READING_ERRORS,
+        Outcome.REFUSED: State.READING_ERRORS,
+        Outcome.SILENT: State.READING_ERRORS,
+    },
+    State.READING_ERRORS: {
+        Outcome.DONE: State.READING_COUNTERS,
+        Outcome.REFUSED: State.READING_COUNTERS,
+        Outcome.SILENT: State.READING_COUNTERS,
+    },
+    State.READING_COUNTERS: {
         Outcome.DONE: State.READING_CONFIGURATION,
+        Outcome.NEEDLESS: State.READING_CONFIGURATION,
         Outcome.REFUSED: State.READING_CONFIGURATION,
         Outcome.SILENT: State.READING_CONFIGURATION,
     },

@@ -160,6 +160,7 @@ class DeviceStatus:
     serial: str
     operating_mode: int
     measuring_mode: int
+    """Block D of the configuration."""
     angle_deg: int
     resolution_cdeg: int
     """1/100 degree."""
@@ -167,6 +168,8 @@ class DeviceStatus:
     """None for a word that the manual does not list."""
     unit: int
     """0 cm, 1 mm."""
+    defective: bool = False
+    """The scanner says so of itself."""
 
     @classmethod
     def parse(cls, payload: bytes) -> "DeviceStatus":
@@ -184,6 +187,7 @@ class DeviceStatus:
             resolution_cdeg=word(109),
             baud={w: b for b, w in BAUD_WORDS.items()}.get(word(116)),
             unit=payload[122],
+            defective=payload[9] > 0,
         )
 
     def serialise(self, status: int = STATUS_OK) -> bytes:
@@ -192,6 +196,7 @@ class DeviceStatus:
         payload[0] = Command.STATUS.answer
         payload[1:8] = self.firmware.encode("ascii").ljust(7)[:7]
         payload[8] = self.operating_mode
+        payload[9] = self.defective
         payload[10:18] = self.serial.encode("ascii").rjust(8, b"0")[:8]
         payload[67:69] = (148).to_bytes(2, "little")  # us for 1/90 of a mirror turn: 13.32 ms
         payload[83] = 100  # laser power, per cent

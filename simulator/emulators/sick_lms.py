@@ -5,23 +5,10 @@ is free at that instant, so a slow line sends every n-th scan, as the real one d
 """
 
 import heapq
-from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TypeAlias
 
-import numpy as np
-from numpy.typing import NDArray
-
-from drivers.sick_lms.measurements import (
-    DISTANCE_BITS,
-    TURN_NS,
-    Sweep,
-    ValueFormat,
-    full_sweep,
-    partial_sweep,
-)
-from drivers.sick_lms.range_telegrams import RangeTelegram
+from drivers.sick_lms.error_memory import ErrorEntry, serialise_errors
+from drivers.sick_lms.measurements import DISTANCE_BITS
 from drivers.sick_lms.telegrams import (
     ACK,
     BAUD_MODES,
@@ -43,11 +30,16 @@ from drivers.sick_lms.telegrams import (
     answer,
     checksum,
 )
+from simulator.emulators.sick_lms_line import SendingLine
+from simulator.emulators.sick_lms_output import (
+    Measure,
+    Measurements,
+    Output,
+    output_of_mode,
+    output_of_request,
+)
 
 MS = 1_000_000
-
-Measure: TypeAlias = Callable[[NDArray[np.int64], NDArray[np.float64]], NDArray[np.float64]]
-"""measure(shot_times_ns [n], angles_rad [n] in the laser's frame) -> ranges_m [n]: NaN no echo, +inf too far."""
 
 FACTORY_RECORD = bytes.fromhex("0000 7000 00 00 01 0000 02 02") + bytes(21) + b"\x02\x00"
 """8 m in millimetres: the driver has something to write."""
@@ -55,31 +47,8 @@ FACTORY_RECORD = bytes.fromhex("0000 7000 00 00 01 0000 02 02") + bytes(21) + b"
 ANSWER_MS: dict[int, int] = {Command.MODE: 30, Command.VARIANT: 40, Command.WRITE_CONFIGURATION: 250}
 """From ACK to answer, where it takes longer than the usual 8 ms."""
 
-BURST = 508
-"""Bytes of a telegram that the scanner can send within one mirror turn."""
 SILENCE_WITHIN_REQUEST_NS = 6 * MS
 SHORTEST_REQUEST = 7
-
-
-@dataclass(slots=True)
-class _Burst:
-    """Bytes that leave back to back."""
-
-    start_ns: int
-    baud: int
-    data: bytes
-    sent: int = 0
-
-    def end_ns(self, count: int) -> int:
-        """When the last bit of the first `count` bytes leaves."""
-        return self.start_ns + count * 10_000_000_000 // self.baud
-
-    def leave_until(self, now_ns: int) -> bytes:
-        """Bytes that left by `now_ns` and were not handed out yet."""
-        count = min(len(self.data), max(0, (now_ns - self.start_ns) * self.baud // 10_000_000_000))
-        left = self.data[self.sent : count]
-        self.sent = max(self.sent, count)
-        return left
 
 
 class SickLmsEmulator:
@@ -95,23 +64,36 @@ class SickLmsEmulator:
         serial: str = "00410123",
         record: bytes = FACTORY_RECORD,
         status: int = STATUS_OK,
+        errors: tuple[ErrorEntry, ...] = (),
+        phase_ns: int = 0,
+        flags: int = 0,
+        immediate_partials: bool = False,
+        acknowledge_ns: int = 3 * MS,
     ) -> None:
-        self._measure = measure
+        """`record` is the EEPROM's: measuring mode, unit, indices.
+
+        `phase_ns`: how much later than the manual's formula says the beams are shot. `flags`: bits above each distance.
+        `immediate_partials`: partial scans come in measuring mode 0Fh, whatever is configured.
+        """
         self._boot_ns = boot_ns
+        self._acknowledge_ns = acknowledge_ns
         self._type = DeviceType(type_text)
         self._serial = serial
         self._configuration = Configuration(record)  # EEPROM
+        self._rate_kept = 0  # EEPROM, 66h: 0 speaks 9600 baud after power-on, 1 the rate set last
+        self._measurements = Measurements(measure, phase_ns, flags, immediate_partials)
         self.eeprom_writes = 0
+        self.errors = errors
         self.status = status
         """Status byte of every telegram."""
         self.misses = 0
         """How many of the next requests the scanner shall not notice."""
         self.scans_sent = 0
         self._now_ns = start_ns
+        self._baud = 9600
         self._actions: list[tuple[int, int, Callable[[], None]]] = []
         self._actions_made = 0
-        self._line: deque[_Burst] = deque()
-        self._line_free_ns = start_ns
+        self._line = SendingLine(start_ns)
         self._outbox = bytearray()
         self._request = bytearray()
         self._request_ns = start_ns
@@ -125,7 +107,7 @@ class SickLmsEmulator:
     @property
     def streaming(self) -> bool:
         """Does it send scans unasked?"""
-        return self._mode in (Mode.STREAM, Mode.STREAM_PARTIAL)
+        return self._stream is not None
 
     @property
     def configuration(self) -> Configuration:
@@ -161,9 +143,9 @@ class SickLmsEmulator:
     def leave_streaming(self, baud: int, mode: Mode = Mode.STREAM, variant: Variant = VARIANTS[0]) -> None:
         """As a former driver left it: booted, at this rate, sending scans."""
         self._boot()
-        self._line.clear()
+        self._line.clear(self._now_ns)
         self._baud, self._variant = baud, variant
-        self._set_mode(mode)
+        self._set_mode(mode, output_of_mode(mode, b""))
 
     # Time
 
@@ -175,7 +157,7 @@ class SickLmsEmulator:
             if due is None or due > now_ns:
                 break
             self._now_ns = max(self._now_ns, due)
-            self._leave_line()
+            self._outbox += self._line.leave_until(self._now_ns)
             if action_ns == due:
                 if self._rate_changes_next() and self._outbox:
                     return  # these bytes go out first: they were sent at the old rate
@@ -183,7 +165,7 @@ class SickLmsEmulator:
             else:
                 self._send_scan()
         self._now_ns = max(self._now_ns, now_ns)
-        self._leave_line()
+        self._outbox += self._line.leave_until(self._now_ns)
 
     def _at(self, time_ns: int, action: Callable[[], None]) -> None:
         self._actions_made += 1
@@ -192,28 +174,20 @@ class SickLmsEmulator:
     def _rate_changes_next(self) -> bool:
         return self._actions[0][2] in (self._change_rate, self._switch_on)
 
-    def _leave_line(self) -> None:
-        while self._line:
-            burst = self._line[0]
-            self._outbox += burst.leave_until(self._now_ns)
-            if burst.sent < len(burst.data):
-                break
-            self._line.popleft()
-
     # Power
 
     def _switch_on(self) -> None:
         self._actions.clear()
-        self._line.clear()
+        self._line.clear(self._now_ns)
         self._request.clear()
         self._booted = False
-        self._baud = self._next_baud = 9600
+        self._baud = self._next_baud = self._baud if self._rate_kept else 9600
         self._mode: int = Mode.STOP
-        self._variant = Variant(180, 50)
-        self._mirror_ns = self._now_ns  # a turn began
+        self._stream: Output | None = None
+        self._variant = self._type.power_on_variant
+        self._measurements.mirror_ns = self._now_ns
         self._stream_ns = self._now_ns
         self._answering = False
-        self._line_free_ns = self._now_ns
         self._at(self._now_ns + self._boot_ns, self._power_on)
 
     def _boot(self) -> None:
@@ -225,7 +199,7 @@ class SickLmsEmulator:
         self._send(answer(self._type.serialise(POWER_ON, self.status)))
 
     def _change_rate(self) -> None:
-        self._interrupt()
+        self._line.interrupt(self._now_ns)
         self._baud = self._next_baud
 
     # Requests
@@ -245,22 +219,15 @@ class SickLmsEmulator:
             if self.misses > 0:
                 self.misses -= 1
                 continue
-            self._interrupt()
+            self._line.interrupt(self._now_ns)
             if checksum(frame[:-2]) == int.from_bytes(frame[-2:], "little"):
                 self._answer(frame[4:-2])
             else:
                 self._at(self._now_ns + 2 * MS, lambda: self._send(bytes((NAK,))))
 
-    def _interrupt(self) -> None:
-        """A request cuts off what is being sent, after the byte that is under way."""
-        for burst in self._line:
-            begun = max(0, -((burst.start_ns - self._now_ns) * burst.baud // 10_000_000_000))
-            burst.data = burst.data[: max(burst.sent, begun)]
-        self._line_free_ns = max([self._now_ns, *(b.end_ns(len(b.data)) for b in self._line if b.data)])
-
     def _answer(self, payload: bytes) -> None:
         """ACK, then the answer; what the request does is done when its answer leaves."""
-        acknowledge_ns = self._now_ns + 3 * MS
+        acknowledge_ns = self._now_ns + self._acknowledge_ns
         self._answering = True
         self._at(acknowledge_ns, lambda: self._send(bytes((ACK,))))
 
@@ -268,58 +235,69 @@ class SickLmsEmulator:
             self._answering = False
             self._send(answer(self._carry_out(payload) + bytes((self.status,))))
 
-        self._at(acknowledge_ns + ANSWER_MS.get(payload[0], 8) * MS, carry_out)
+        measuring_ns = 0
+        if (output := output_of_request(payload)) is not None:  # from the next mirror turn on
+            measuring_ns = (output.averaged + 1) * output.duration_ns(self._variant)
+        self._at(acknowledge_ns + ANSWER_MS.get(payload[0], 8) * MS + measuring_ns, carry_out)
 
     def _carry_out(self, payload: bytes) -> bytes:
         """Do what is asked; the answer's payload without its status byte."""
-        refused = bytes((REFUSED,))
+        installing = self._mode == Mode.INSTALLATION
         match payload[0]:
             case Command.RESET:
-                self._mode = Mode.STOP
+                self._set_mode(Mode.STOP, None)
                 # Once more 10 ms after its answer, at 9600 baud, as if it were switched on.
                 self._at(self._now_ns + 10 * MS + 80_000_000_000 // self._baud, self._switch_on)
                 return bytes((RESETTING,))
             case Command.MODE if len(payload) >= 2:
                 return self._carry_out_mode(payload[1], payload[2:])
-            case Command.SCAN if payload[1:] == b"\x01":
-                return self._ranges(full_sweep(self._variant)).serialise()[:-1]
             case Command.STATUS:
                 return self._status().serialise()[:-1]
             case Command.ERRORS:
-                return bytes((Command.ERRORS.answer,))
-            case Command.COUNTERS:
+                return serialise_errors(self.errors)[:-1]
+            case Command.COUNTERS if self._type.counts_hours:
                 return bytes((Command.COUNTERS.answer, 0, 0, 1, 0))
             case Command.TYPE:
                 return self._type.serialise(Command.TYPE.answer)[:-1]
-            case Command.VARIANT if len(payload) == 5:
+            case Command.VARIANT if len(payload) == 5 and not self._type.is_fast:
                 wanted = Variant.parse(payload)
                 accepted = wanted in VARIANTS
                 if accepted:
                     self._variant = wanted
-                    self._mode = Mode.STOP  # switching ends a stream
+                    self._set_mode(Mode.STOP, None)  # switching ends a stream
                 return self._variant.serialise_answer(accepted)[:-1]
+            case Command.POWER_ON_RATE if installing and len(payload) == 2 and payload[1] <= 2:
+                self._rate_kept = payload[1]
+                self.eeprom_writes += 1
+                return bytes((Command.POWER_ON_RATE.answer, 1))
             case Command.READ_CONFIGURATION:
                 return self._configuration.serialise_read()[:-1]
-            case Command.WRITE_CONFIGURATION if self._mode == Mode.INSTALLATION:
+            case Command.WRITE_CONFIGURATION if installing:
                 return self._write(payload[1:])
-        return refused
+        output = output_of_request(payload)
+        if output is None or installing or not output.fits(self._variant):
+            return bytes((REFUSED,))
+        return self._measured(output)
 
     def _carry_out_mode(self, mode: int, data: bytes) -> bytes:
         result = 0
-        if mode == Mode.INSTALLATION and data != PASSWORD:
+        if mode in (Mode.INSTALLATION, Mode.TEST_PASSWORD) and data != PASSWORD:
             result = 1
         elif mode in BAUD_MODES.values():
             self._next_baud = next(baud for baud, code in BAUD_MODES.items() if code == mode)
             # The answer leaves at the old rate; a millisecond later the rate is the new one.
             self._at(self._now_ns + MS + 90_000_000_000 // self._baud, self._change_rate)
-        elif mode in (Mode.INSTALLATION, Mode.STREAM, Mode.STOP, Mode.STREAM_PARTIAL):
-            self._set_mode(mode)
-        else:
+        elif mode in (Mode.INSTALLATION, Mode.STOP):
+            self._set_mode(mode, None)
+        elif (output := output_of_mode(mode, data)) is not None and output.fits(self._variant):
+            self._set_mode(mode, output)
+        elif mode != Mode.TEST_PASSWORD:
             return bytes((REFUSED,))
         return bytes((Command.MODE.answer, result))
 
-    def _set_mode(self, mode: int) -> None:
+    def _set_mode(self, mode: int, stream: Output | None) -> None:
         self._mode = mode
+        self._stream = stream
         self._stream_ns = self._now_ns
 
     def _write(self, data: bytes) -> bytes:
@@ -348,43 +326,23 @@ class SickLmsEmulator:
 
     def _next_scan_ns(self) -> int | None:
         """End of the mirror turn at which the next scan can leave."""
-        if not self.streaming or self._answering:
+        if self._stream is None or self._answering:
             return None
-        duration = TURN_NS if self._mode == Mode.STREAM_PARTIAL else full_sweep(self._variant).duration_ns
-        ready = max(self._line_free_ns, self._stream_ns + duration)
-        return self._mirror_ns + -((self._mirror_ns - ready) // duration) * duration
+        duration = self._stream.duration_ns(self._variant)
+        ready = max(self._line.free_ns, self._stream_ns + duration)
+        mirror_ns = self._measurements.mirror_ns
+        return mirror_ns + -((mirror_ns - ready) // duration) * duration
 
     def _send_scan(self) -> None:
-        if self._mode == Mode.STREAM_PARTIAL:
-            turn = (self._now_ns - self._mirror_ns) // TURN_NS - 1
-            offsets = 100 // self._variant.resolution_cdeg
-            quarter = turn % offsets * (4 // offsets)
-            telegram = self._ranges(partial_sweep(quarter), partial=True, quarter=quarter)
-        else:
-            telegram = self._ranges(full_sweep(self._variant))
-        self._send(answer(telegram.serialise()))
+        assert self._stream is not None  # or no scan would be due
+        self._send(answer(self._measured(self._stream) + bytes((self.status,))))
         self.scans_sent += 1
 
-    def _ranges(self, sweep: Sweep, partial: bool = False, quarter: int = 0) -> RangeTelegram:
-        """Measure with the mirror turns that have just ended."""
-        begin = self._now_ns - (self._now_ns - self._mirror_ns) % TURN_NS - sweep.duration_ns
-        ranges_m = self._measure(begin + sweep.beam_offset_ns, sweep.angles_rad)
-        value_format = ValueFormat(DISTANCE_BITS[self._configuration.measuring_mode], self._configuration.unit)
-        turns = (self._now_ns - self._mirror_ns) // TURN_NS
-        return RangeTelegram(
-            codes=value_format.encode(ranges_m),
-            unit=self._configuration.unit,
-            partial=partial,
-            quarter=quarter,
-            indices=(turns % 256, self.scans_sent % 256) if self._configuration.appends_indices else None,
-            status=self.status,
-        )
+    def _measured(self, output: Output) -> bytes:
+        """Payload of what was measured in the turns that have just ended, without its status byte."""
+        return self._measurements.payload(output, self._variant, self._configuration, self.scans_sent, self._now_ns)[
+            :-1
+        ]
 
     def _send(self, data: bytes) -> None:
-        """Put bytes on the line now, or as soon as it is free."""
-        start = max(self._now_ns, self._line_free_ns)
-        for at in range(0, len(data), BURST):
-            burst = _Burst(start, self._baud, data[at : at + BURST])
-            self._line.append(burst)
-            self._line_free_ns = burst.end_ns(len(burst.data))
-            start = max(self._line_free_ns, start + TURN_NS)
+        self._line.send(data, self._baud, self._now_ns)

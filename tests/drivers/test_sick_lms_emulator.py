@@ -4,14 +4,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.sick_lms.measurements import TURN_NS
+from drivers.sick_lms.measurements import CM, MM, TURN_NS
+from drivers.sick_lms.stream import LmsStreamDecoder
 from drivers.sick_lms.telegrams import (
     ACK,
+    FAST,
     NAK,
     PASSWORD,
     Command,
     Configuration,
     DeviceStatus,
+    DeviceType,
     Mode,
     Variant,
     answer,
@@ -147,6 +150,102 @@ def test_a_long_telegram_comes_in_two_bursts() -> None:
     assert len(emulator.data_to_send(begin + 20_000)) == 1
     assert len(emulator.data_to_send(begin + TURN_NS)) == 507
     assert len(emulator.data_to_send(begin + TURN_NS + 10 * MS)) == 732 - 508
+
+
+def by_angle(shots_ns: NDArray[np.int64], angles_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A distance for each eighth of a degree: 7.2 m straight ahead."""
+    return 7.2 + np.degrees(angles_rad) / 100
+
+
+@pytest.mark.parametrize(
+    ("mode", "data", "first_deg", "count"),
+    [
+        (Mode.STREAM, "", -90, 361),
+        (Mode.STREAM_MEAN, "05", -90, 361),
+        (Mode.STREAM_SUB_RANGE, "0B00 6400", -85, 90),
+        (Mode.STREAM_SUB_RANGE_MEAN, "03 0B00 6400", -85, 90),
+        (Mode.STREAM_PARTIAL, "", -90, 181),
+        (Mode.STREAM_REFLECTIVITY, "0200 0100 0A00 6500 6901", -90, 10),
+    ],
+)
+@pytest.mark.parametrize("unit", [CM, MM])
+@pytest.mark.parametrize("measuring_mode", [0x01, 0x04, 0x06, 0x0F])
+def test_every_stream_tells_what_was_measured(
+    mode: Mode, data: str, first_deg: float, count: int, unit: int, measuring_mode: int
+) -> None:
+    """Modes, units, flags and indices of the configuration; the recording alone gives the scans back."""
+    record = Configuration(FACTORY_RECORD[:4] + b"\x02" + FACTORY_RECORD[5:]).with_format(measuring_mode, unit).record
+    emulator = SickLmsEmulator(by_angle, start_ns=START, record=record, flags=0b111)
+    emulator.leave_streaming(500000, Mode.STOP, Variant(180, 50))
+    said = ask(emulator, bytes((Command.STATUS,)), START)
+    said += ask(emulator, bytes((Command.MODE, mode)) + bytes.fromhex(data), START + 2000 * MS)
+    decoder = LmsStreamDecoder()
+
+    scans = decoder.receive_data(said) + decoder.finish()
+
+    assert len(scans) >= 4
+    assert decoder.counts["undecoded_scans"] == decoder.counts["lost_telegrams"] == 0
+    first = next(scan for scan in scans if len(scan.ranges_m) == count)  # partial scans begin with any quarter
+    assert np.degrees(first.angle_min_rad) == pytest.approx(first_deg)
+    for scan in scans:
+        angles_deg = np.degrees(scan.angle_min_rad + scan.angle_increment_rad * np.arange(len(scan.ranges_m)))
+        assert scan.ranges_m == pytest.approx(7.2 + angles_deg / 100, abs=0.0051 if unit == CM else 0.00051)
+
+
+@pytest.mark.parametrize(
+    ("payload", "count", "step_deg"),
+    [("30 01", 361, 0.5), ("30 06", 181, 1), ("30 07", 19, 10), ("36 02", 361, 0.5), ("37 01 00 05 00", 5, 0.5)],
+)
+def test_single_scans_are_answered(payload: str, count: int, step_deg: float) -> None:
+    """30h, 36h and 37h give one telegram, once the mirror has turned often enough."""
+    emulator = SickLmsEmulator(by_angle, start_ns=START)
+    emulator.leave_streaming(500000, Mode.STOP, Variant(180, 50))
+    decoder = LmsStreamDecoder(measuring_mode=0x00, variant=Variant(180, 50))
+
+    scans = decoder.receive_data(ask(emulator, bytes.fromhex(payload), START)) + decoder.finish()
+
+    (scan,) = scans
+    assert len(scan.ranges_m) == count
+    assert np.degrees(scan.angle_increment_rad) == pytest.approx(step_deg)
+
+
+def test_the_lms_fast_sends_reflectivity_and_knows_no_variants() -> None:
+    """50h streams C4h, 3Bh is refused, and so is what only the others know."""
+    emulator = SickLmsEmulator(by_angle, start_ns=START, type_text="LMS291;S14   ;V02.30 ")
+    emulator.leave_streaming(500000, Mode.STOP, FAST)
+
+    assert ask(emulator, Variant(180, 50).serialise_request(), START)[1:] == answer(b"\x92\x10")
+    assert ask(emulator, bytes.fromhex("20 2B 0100 0100 0A00"), START + 2000 * MS)[1:] == answer(b"\x92\x10")
+    said = ask(emulator, bytes.fromhex("20 50 0100 B500"), START + 4000 * MS)
+    decoder = LmsStreamDecoder(measuring_mode=0x00)
+    scan = decoder.receive_data(said)[0]
+
+    assert np.degrees(scan.angle_min_rad) == pytest.approx(-45)
+    assert len(scan.ranges_m) == 181
+
+
+def test_the_rate_may_survive_the_power() -> None:
+    """66h, in installation mode alone, makes the EEPROM keep the rate."""
+    emulator = booted(38400)
+
+    assert ask(emulator, b"\x66\x01", START)[1:] == answer(b"\x92\x10")
+    ask(emulator, b"\x20\x00" + PASSWORD, START + 2000 * MS)
+    assert ask(emulator, b"\x66\x01", START + 4000 * MS)[1:] == answer(b"\xe6\x01\x10")
+    emulator.switch_off_and_on(START + 6000 * MS)
+
+    assert emulator.eeprom_writes == 1
+    assert emulator.data_to_send(START + 8000 * MS) == answer(DeviceType("LMS221;302063;V02.30 ").serialise(0x90))
+    assert emulator.baud == 38400
+
+
+def test_no_scan_is_measured_in_installation_mode() -> None:
+    """Measuring stops until the mode is left; a wrong password does not open it."""
+    emulator = booted(38400, Mode.STREAM)
+
+    assert ask(emulator, b"\x20\x30SICK_PLS", START)[-9:] != answer(b"\xa0\x00\x10")
+    ask(emulator, b"\x20\x00" + PASSWORD, START + 2000 * MS)
+    assert emulator.data_to_send(START + 9000 * MS) == b""
+    assert ask(emulator, b"\x30\x01", START + 9000 * MS)[1:] == answer(b"\x92\x10")
 
 
 def test_the_status_byte_may_be_xon() -> None:

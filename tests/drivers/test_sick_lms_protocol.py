@@ -11,12 +11,15 @@ from numpy.typing import NDArray
 
 from drivers.config import LaserConfig
 from drivers.samples import Scan
+from drivers.sick_lms.error_memory import ErrorEntry
+from drivers.sick_lms.findings import status_findings
 from drivers.sick_lms.measurements import CM, MM, TURN_NS
 from drivers.sick_lms.protocol import SickLmsProtocol
 from drivers.sick_lms.range_telegrams import RangeTelegram
 from drivers.sick_lms.startup import STEPS, TRANSITIONS, WAITS_MS, Outcome, State
 from drivers.sick_lms.telegrams import POWER_ON, Command, DeviceType, Mode, Variant, answer, request
 from simulator.emulators.sick_lms import FACTORY_RECORD, SickLmsEmulator
+from simulator.line_faults import KINDS, LINES, Fault, damage
 
 MS = 1_000_000
 S = 1000 * MS
@@ -192,7 +195,7 @@ def test_a_scanner_left_in_installation_mode_is_found() -> None:
     wire.start(5.0)
 
 
-@pytest.mark.parametrize("skip", range(11))
+@pytest.mark.parametrize("skip", range(13))
 def test_a_missed_request_is_repeated(skip: int) -> None:
     """Whichever of the start-up requests the scanner misses, scans come, and the EEPROM is written once."""
     wire = Wire(record=FACTORY_RECORD)
@@ -298,7 +301,7 @@ def test_another_unit_halts_where_writing_is_forbidden() -> None:
 
 
 def test_a_shorter_reach_does_not_halt_where_writing_is_forbidden() -> None:
-    """An 8 m measuring mode is used as it is, and counted."""
+    """An 8 m measuring mode is used as it is, and told."""
     wire = Wire(replace(CONFIG, write_configuration=False), record=FACTORY_RECORD)
 
     wire.start()
@@ -306,7 +309,7 @@ def test_a_shorter_reach_does_not_halt_where_writing_is_forbidden() -> None:
 
     wire.check_scans()
     assert wire.emulator.eeprom_writes == 0
-    assert wire.protocol.counts["short_reach"] == 1
+    assert any("reaches 8.2 m, short of range_max_m" in finding for finding in wire.protocol.findings)
 
 
 def test_a_spontaneous_reset_is_survived() -> None:
@@ -326,6 +329,185 @@ def test_a_spontaneous_reset_is_survived() -> None:
         shots = wire.world.shots_ns[wire.world.index_of(scan)]
         assert np.all(scan.stamp.earliest_ns + scan.beam_offset_ns <= shots)
         assert np.all(shots <= scan.stamp.latest_ns + scan.beam_offset_ns)
+
+
+@pytest.mark.parametrize("phase_ms", [-6.66, 0.0, 6.66])
+@pytest.mark.parametrize(("resolution", "baud"), [(1.0, 500000), (0.5, 500000), (0.25, 500000), (0.5, 38400)])
+def test_stamps_contain_every_shot_whatever_the_mirrors_phase(phase_ms: float, resolution: float, baud: Any) -> None:
+    """The manual does not tell when in the mirror's turn a telegram leaves: the default bound covers all of a turn."""
+    config = replace(CONFIG, resolution_deg=resolution, baud=baud)
+    wire = Wire(config, record=SERVING_RECORD, phase_ns=round(phase_ms * MS))
+
+    wire.start()
+    wire.run(1.0)
+
+    wire.check_scans()
+
+
+def test_a_declared_mirror_phase_narrows_the_stamps() -> None:
+    """Who has measured the phase gets stamps as narrow as the latency, less what the line itself takes."""
+    wire = Wire(replace(CONFIG, mirror_phase_ms=(2.0, 2.5)), record=SERVING_RECORD, phase_ns=2_200_000)
+
+    wire.start()
+    wire.run(1.0)
+
+    wire.check_scans()
+    widths = [scan.stamp.latest_ns - scan.stamp.earliest_ns for scan in wire.scans]
+    assert max(widths) <= 6.6 * MS
+    assert np.median(widths) < 6 * MS  # a read that holds n bytes of a telegram ended n byte times after its beginning
+
+
+@pytest.mark.parametrize("length", [30, 32, 34])
+def test_a_record_of_any_length_is_written_back_as_long_as_it_came(length: int) -> None:
+    """Older firmware has shorter records: all bytes but unit and mode come back unchanged, and none is added."""
+    wire = Wire(record=FACTORY_RECORD[:length])
+
+    wire.start()
+
+    writes = [data for data in wire.requests if data[4] == Command.WRITE_CONFIGURATION]
+    assert [len(data) for data in writes] == [length + 7]
+    assert wire.emulator.configuration.record == FACTORY_RECORD[:5] + b"\x06" + FACTORY_RECORD[6:length]
+    assert wire.emulator.eeprom_writes == 1
+
+
+def test_a_nak_of_a_write_is_no_write() -> None:
+    """A write that was damaged on the line is sent again, and does not count against the EEPROM's allowance."""
+    wire = Wire(record=FACTORY_RECORD)
+    damaged = 0
+
+    def damage(data: bytes) -> bytes:
+        nonlocal damaged
+        if data[4] == Command.WRITE_CONFIGURATION and damaged < 4:
+            damaged += 1
+            return data[:-1] + bytes((data[-1] ^ 1,))
+        return data
+
+    wire.to_scanner = damage
+    wire.start()
+
+    assert wire.protocol.counts["naks"] == 4
+    assert wire.protocol.counts["configuration_writes"] == wire.emulator.eeprom_writes == 1
+    assert wire.protocol.counts["restarts"] == 0
+
+
+@pytest.mark.parametrize(
+    ("type_text", "asks_hours"),
+    [
+        ("LMS200;301063;V02.19 ", False),
+        ("LMS211;302063;V02.30 ", True),
+        ("LMS220;301063;V02.10 ", False),
+        ("LMS221;302063;V02.30 ", True),
+        ("LMS291;S05   ;V02.30 ", True),
+        ("LMS200;S18063;X01.27 ", False),
+    ],
+)
+def test_every_type_is_set_up_and_asked_only_what_it_knows(type_text: str, asks_hours: bool) -> None:
+    """Operating hours are read where the scanner counts them; the error memory always."""
+    wire = Wire(type_text=type_text)
+
+    wire.start()
+    wire.run(0.2)
+
+    asked = {data[4] for data in wire.requests}
+    assert (Command.COUNTERS in asked) == asks_hours
+    assert Command.ERRORS in asked
+    assert wire.protocol.operating_hours == (0.0 if asks_hours else None)
+    assert wire.protocol.counts["refusals"] == 0
+    wire.check_scans()
+
+
+FAST_TYPE = "LMS291;S14   ;V02.30 "
+
+
+def test_the_lms_fast_streams_its_90_degrees() -> None:
+    """It knows no other variant and does not know the request for one: it is not asked."""
+    wire = Wire(replace(CONFIG, scan_angle_deg=90, resolution_deg=0.5), type_text=FAST_TYPE, record=SERVING_RECORD)
+
+    wire.start()
+    wire.run(1.0)
+
+    assert len(wire.scans) == pytest.approx(75, abs=2)
+    assert wire.protocol.counts["refusals"] == 0
+    assert np.degrees(wire.scans[0].angle_min_rad) == pytest.approx(-45)
+    wire.check_scans()
+
+
+def test_the_wrong_scanner_halts_with_a_way_out() -> None:
+    """An LMS Fast that shall scan 180 degrees, and another that shall scan 90: each says what to set."""
+    fast = Wire(type_text=FAST_TYPE, record=SERVING_RECORD)
+    slow = Wire(replace(CONFIG, scan_angle_deg=90, resolution_deg=0.5), record=SERVING_RECORD)
+
+    fast.run(6.0)
+    slow.run(6.0)
+
+    assert fast.scans == slow.scans == []
+    assert "scan_angle_deg = 90" in fast.protocol.state
+    assert "can't scan 90 degrees" in slow.protocol.state
+
+
+def test_what_ails_the_scanner_is_told() -> None:
+    """Its error memory, a dirty window and implausible values reach people as sentences; the latter are not used."""
+    errors = (ErrorEntry(4, 22, True), ErrorEntry(4, 49, True), ErrorEntry(1, 49, False))
+    wire = Wire(record=SERVING_RECORD, status=0x11, errors=errors)
+    wire.start()
+
+    assert wire.protocol.findings == (
+        "the scanner's error memory holds info 49 (laser power)",
+        "the scanner had fatal error 22 (window dirty), fatal error 49 (laser power) in the past",
+    )
+    wire.emulator.status = 0xD2
+    before = len(wire.scans)
+    wire.run(0.5)
+    wire.emulator.status = 0x11
+    wire.run(0.1)
+    counts = wire.protocol.counts
+    assert counts["polluted_scans"] == counts["implausible_scans"] == counts["warned_scans"] > 30
+    doubted = [scan for scan in wire.scans[before:] if scan.status == 0xD2]
+    assert all(np.isnan(scan.ranges_m).all() for scan in doubted)
+    assert not any("dirty: clean" in finding for finding in wire.protocol.findings)
+    assert "the scanner's window is dirty: clean it" in list(status_findings(0xD2))
+
+
+def test_lost_scans_are_counted_where_the_scanner_numbers_them() -> None:
+    """With indices appended (block C), a scan that never came is known to have been sent."""
+    wire = Wire(record=SERVING_RECORD[:4] + b"\x02" + SERVING_RECORD[5:])
+    wire.start()
+    wire.run(0.2)
+
+    sent = iter(range(100000))
+    wire.to_host = lambda data: data[:-1] if next(sent) % 40 == 20 else data
+    wire.run(3.0)
+    wire.to_host = lambda data: data
+    wire.run(0.2)
+
+    lost = wire.emulator.scans_sent - len(wire.scans)
+    assert lost > 5
+    assert wire.protocol.counts["lost_telegrams"] == pytest.approx(lost, abs=2)  # cut at either end
+
+
+@pytest.mark.parametrize("fault", sorted(KINDS))
+def test_a_bad_line_costs_the_live_driver_no_intact_scan(fault: str) -> None:
+    """Every kind of line fault on a fifth of the telegrams of a running stream: all intact scans, no other ones."""
+    wire = Wire(record=SERVING_RECORD)
+    wire.start()
+    wire.scans.clear()
+    rng = np.random.default_rng(12)
+    frames = [
+        answer(RangeTelegram(rng.integers(0, 0x7FF0, 181).astype(np.uint16), MM).serialise()) for _ in range(1000)
+    ]
+    damaged = damage(frames, LINES["lms"], [Fault(fault)], seed=3)
+    now_ns = wire.now_ns
+
+    found: list[Scan] = []
+    for chunk in damaged.chunks:
+        now_ns += 2 * MS  # silences and merged writes end before anybody gets nervous
+        found += wire.protocol.receive_data(chunk, now_ns)
+
+    expected = [np.frombuffer(frame[7:-3], "<u2") & 0x7FFF for frame in damaged.intact(frames)]
+    assert len(found) == len(expected)
+    for scan, codes in zip(found, expected, strict=True):
+        assert np.array_equal(scan.ranges_m, codes / 1000)
+    assert wire.protocol.streaming
 
 
 def test_a_power_on_string_ends_the_stream_at_once() -> None:
