@@ -107,8 +107,19 @@ class EncodersConfig:
     """Negative where the counter falls when the robot drives forward."""
     right_metres_per_tick: float
     quantisation_ticks: NotNegative = 1.0
-    """How far a difference of two counts can be off the true number of (fractional) ticks."""
+    """How far a difference of two counts can be off the true number of (fractional) ticks. Where left and right come in
+    two messages: plus what a track can count between the two."""
     latency_ms: LatencyMs
+    """From the counting to the receipt of the message: by the kernel (socketcan), or to the read of its first byte."""
+    counting: Literal["absolute", "incremental"] = "absolute"
+    """Does the unit send counters that run on, or the ticks since its last message?"""
+    least_period_ms: Positive | None = None
+    """Of incremental counts: two messages of a track are never closer. It tells when one was lost."""
+    restart_ms: Positive = 100.0
+    """A unit that restarts is silent at least so long: after a longer pause its counts may have begun anew. Less than
+    the messages' period makes every count useless."""
+    pair_within_ms: Positive = 5.0
+    """Counts of left and right in two messages make a reading if they come no further apart."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -145,8 +156,10 @@ class GpsConfig:
     gst_factor: Positive
     """Half-width = gst_factor * GST sigma + floor."""
     range_error_m: Positive
-    """Half-width without GST = hdop * range_error_m + floor."""
+    """Half-width without GST = hdop * range_error_m + floor; of the height, vdop where the receiver tells it."""
     floor_horizontal_m: NotNegative
+    """Added to either. Half a step of the digits that the receiver sends is added besides; one that truncates instead
+    of rounding needs half a step more here: 0.0001 minutes are 0.185 m."""
     floor_vertical_m: NotNegative
     rtk_fixed_horizontal_m: Positive | None = None
     """Half-width of an RTK fixed solution (quality 4), if the owner vouches for one; used in place of GST and HDOP."""

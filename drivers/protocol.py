@@ -12,7 +12,7 @@ The shell around it (service/reader.py) does the input and output:
 
 from collections import Counter
 from collections.abc import Sequence
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 from drivers.samples import Sample
 
@@ -47,3 +47,11 @@ class DeviceProtocol(Protocol[S_co]):
 
     def data_to_send(self) -> bytes:
         """Bytes to write now; each is handed out once."""
+
+
+@runtime_checkable
+class ComparesTimes(Protocol):
+    """A device protocol that judges by the time between two readings, and must know how well it is known."""
+
+    def read_late(self, late_ns: int) -> None:
+        """The bytes that come next may have been there for so long before their read (beyond the latency)."""

@@ -11,18 +11,20 @@ import os
 import select
 import termios
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
 import can
 import serial
+from can.typechecking import CanFilter
 
 from drivers.errors import PortBusy, PortError, PortLost, PortMissing
+from drivers.kernel_stamps import KernelStamps
 from drivers.track_encoders.codec import CanFrame, pack_can_frame, unpack_can_frame
 
 _READ_BYTES = 65536
 _WRITE_PATIENCE_S = 1.0
-_FRAMES_PER_READ = 256
 _LOOK_NS = 4_000_000
 """While waiting, a port is looked at this often, so that it is known to have been empty until a little while ago."""
 _FULL_BYTES = 2048
@@ -36,6 +38,8 @@ class Transport(Protocol):
     """The port as the owner wrote it, for messages."""
     empty_ns: int
     """Monotonic time before which none of the bytes came that the last read gave: then the port was seen empty."""
+    received_ns: int | None
+    """Monotonic time when what was last read had come, where the kernel stamped it; None: only the reader knows."""
 
     def read(self, timeout_s: float) -> bytes:
         """What has arrived; waits for the first byte at most `timeout_s`, then b"". Raises PortLost."""
@@ -56,6 +60,7 @@ class SerialTransport:
     def __init__(self, port: str, line: serial.Serial, opened_ns: int) -> None:
         """Use `open_serial`. What the port gives came after `opened_ns`."""
         self.name = port
+        self.received_ns: int | None = None
         self._line = line
         self._fd = line.fileno()
         self._readable = select.poll()
@@ -162,35 +167,34 @@ def _refusal(port: str, baud: int, error: Exception) -> PortError:
 
 
 class SocketCanTransport:
-    """A CAN interface of the kernel; its bytes are Linux `struct can_frame`, 16 a frame."""
+    """A CAN interface of the kernel; its bytes are Linux `struct can_frame`, 16 a frame, and one frame a read.
 
-    def __init__(self, interface: str, bus: can.BusABC) -> None:
+    So each frame has its own time of receipt, as the kernel stamped it, however late it is read.
+    """
+
+    def __init__(self, interface: str, bus: can.BusABC, stamps: KernelStamps | None = None) -> None:
         """Use `open_socketcan`."""
         self.name = interface
+        self.received_ns: int | None = None
+        self.stamps = stamps or KernelStamps()
         self._bus = bus
-        self.empty_ns = self._emptied_ns = time.monotonic_ns()
+        self.empty_ns = self.stamps.not_before_ns
 
     def read(self, timeout_s: float) -> bytes:
-        """All frames that have arrived; waits for the first at most `timeout_s`."""
-        frames: list[bytes] = []
-        until_ns, wait_s = time.monotonic_ns() + int(max(0.0, timeout_s) * 1e9), 0.0
-        self.empty_ns = self._emptied_ns
+        """The next frame; waits for it at most `timeout_s`."""
         try:
-            while len(frames) < _FRAMES_PER_READ:
-                now_ns = time.monotonic_ns()
-                message = self._bus.recv(wait_s)
-                if message is not None:
-                    frames.append(pack_can_frame(_frame_of(message)))
-                    wait_s = 0.0
-                    continue
-                self._emptied_ns = now_ns  # python-can may give up a little early, so not later than the call's begin
-                if frames or now_ns >= until_ns:
-                    break
-                self.empty_ns = now_ns
-                wait_s = min(_LOOK_NS, until_ns - now_ns) * 1e-9
-        except (can.CanError, OSError) as error:
+            looked_ns = time.monotonic_ns()
+            message = self._bus.recv(0)
+            if message is None:
+                self.stamps.empty_at(looked_ns)
+                message = self._bus.recv(max(0.0, timeout_s))
+        except (can.CanError, OSError, ValueError) as error:  # ValueError: select on a socket that is closed
             raise self._lost(error) from error
-        return b"".join(frames)
+        if message is None:
+            return b""
+        self.empty_ns = self.stamps.not_before_ns
+        self.received_ns = self.stamps.received_ns(round(message.timestamp * 1e9))
+        return pack_can_frame(_frame_of(message))
 
     def write(self, data: bytes) -> None:
         """Send whole frames."""
@@ -224,10 +228,17 @@ class SocketCanTransport:
         )
 
 
-def open_socketcan(interface: str, bitrate: int) -> SocketCanTransport:
-    """Open the kernel's CAN interface; it must be up at `bitrate` already, which only the system may set."""
+def open_socketcan(interface: str, bitrate: int, messages: Sequence[tuple[int, bool]] = ()) -> SocketCanTransport:
+    """Open the kernel's CAN interface; it must be up at `bitrate` already, which only the system may set.
+
+    `messages`: identifiers, and whether each is an extended one; the kernel passes on these alone, and error frames.
+    """
+    filters: list[CanFilter] = [
+        {"can_id": can_id, "can_mask": 0x1FFF_FFFF if extended else 0x7FF, "extended": extended}
+        for can_id, extended in messages
+    ]
     try:
-        bus = can.Bus(interface="socketcan", channel=interface)
+        bus = can.Bus(interface="socketcan", channel=interface, can_filters=filters or None)
     except (can.CanError, OSError) as error:
         raise PortMissing(
             f"{interface}: no CAN interface that is up ({error}); "

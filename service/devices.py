@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import date
+from math import radians
 
 from drivers.errors import ConfigurationError
 from drivers.gps_nmea.protocol import GpsProtocol
@@ -12,6 +13,7 @@ from drivers.samples import Sample
 from drivers.sick_lms.protocol import SickLmsProtocol
 from drivers.track_encoders.protocol import TrackEncoderProtocol
 from drivers.transports import Transport, open_serial, open_socketcan
+from estimator.config import RobotConfig
 from service.config import LoadedConfig
 
 NOW_OR_LATER = date(2024, 1, 1)
@@ -37,8 +39,13 @@ def wiring(loaded: LoadedConfig) -> tuple[Device, ...]:
     devices = loaded.config.devices
     laser, encoders, imu, gps = devices.laser, devices.encoders, devices.imu, devices.gps
     dbc_text = loaded.dbc_text()
+    max_track_mps = _max_track_mps(loaded.config.robot)
+
+    def encoder_protocol() -> TrackEncoderProtocol:
+        return TrackEncoderProtocol(encoders, dbc_text, max_track_mps)
+
     try:
-        TrackEncoderProtocol(encoders, dbc_text)
+        messages = encoder_protocol().messages
     except ConfigurationError as error:
         raise ConfigurationError(f"devices.encoders: {error}") from None
     framed = encoders.interface == "socketcan"
@@ -47,10 +54,10 @@ def wiring(loaded: LoadedConfig) -> tuple[Device, ...]:
         Device(
             "encoders",
             encoder_port,
-            (lambda: open_socketcan(encoder_port, encoders.bitrate))
+            (lambda: open_socketcan(encoder_port, encoders.bitrate, messages))
             if framed
             else (lambda: open_serial(encoder_port, 115200)),
-            lambda: TrackEncoderProtocol(encoders, dbc_text),
+            encoder_protocol,
             stale_after_s=0.1,
             can_frames=framed,
         ),
@@ -67,6 +74,14 @@ def wiring(loaded: LoadedConfig) -> tuple[Device, ...]:
 def can_frames(devices: tuple[Device, ...]) -> tuple[str, ...]:
     """Names of the devices whose captures hold CAN frames."""
     return tuple(device.name for device in devices if device.can_frames)
+
+
+def _max_track_mps(robot: RobotConfig) -> float | None:
+    """No track is faster over the ground than the robot moves and turns, nor much faster than that by its slip."""
+    if robot.slip_ratio >= 1.0:
+        return None
+    turning_mps = radians(robot.max_turn_rate_dps) * robot.track_gauge_m / 2
+    return (robot.max_speed_mps + turning_mps) / (1.0 - robot.slip_ratio)
 
 
 def _serial(

@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from drivers.config import READ_ALLOWANCE_NS
+from drivers.protocol import ComparesTimes
 from drivers.samples import Sample
 
 _KEPT_NS = 60_000_000_000
@@ -29,12 +30,16 @@ _KEPT = 64
 class Lateness:
     """The late reads of one device that samples may still have begun in."""
 
-    def __init__(self) -> None:
+    def __init__(self, protocol: object = None) -> None:
+        """`protocol` is told of late reads, if it compares times itself."""
+        self._protocol = protocol if isinstance(protocol, ComparesTimes) else None
         self._reads: deque[tuple[int, int]] = deque()
         """(time, lateness), the later of two always with the smaller lateness: it alone covers the other."""
 
     def read_late(self, read_ns: int, late_ns: int) -> None:
-        """The read at `read_ns` came up to `late_ns` late."""
+        """The read at `read_ns` came up to `late_ns` late; its bytes are to be given to the protocol next."""
+        if self._protocol is not None:
+            self._protocol.read_late(late_ns)
         reads = self._reads
         while reads and reads[-1][1] <= late_ns:
             reads.pop()

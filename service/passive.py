@@ -20,7 +20,7 @@ from drivers.imu.protocol import ImuProtocol
 from drivers.samples import Sample
 from drivers.sick_lms.stream import LmsStreamDecoder
 from drivers.sick_lms.telegrams import Variant
-from drivers.track_encoders.codec import parse_candump_line
+from drivers.track_encoders.codec import CANDUMP_FD, parse_candump_line
 from drivers.track_encoders.protocol import TrackEncoderProtocol
 
 Timed: TypeAlias = tuple[int, Sample]
@@ -89,9 +89,10 @@ class EncodersFile:
     def _receive_line(self, line: bytes) -> Iterator[Timed]:
         if not line.strip():
             return
-        logged = parse_candump_line(line.decode("ascii", "replace").strip())
+        text = line.decode("ascii", "replace").strip()
+        logged = parse_candump_line(text)
         if logged is None:
-            self.counts["bad_lines"] += 1
+            self.counts["fd_frames" if CANDUMP_FD.fullmatch(text) else "bad_lines"] += 1
             return
         for ticks in self._protocol.receive_frame(logged.frame, logged.stamp_ns):
             yield ticks.stamp.mid_ns, ticks
@@ -169,6 +170,7 @@ def encoders_config(
         left_metres_per_tick=1.0,
         right_metres_per_tick=1.0,
         latency_ms=(0.0, 0.0),
+        restart_ms=1e9,  # of a unit that nobody knows a pause says nothing
     )
 
 

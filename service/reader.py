@@ -48,7 +48,7 @@ class Reader:
             lambda: getattr(self.protocol, "findings", ()),
         )
         self._acknowledge = acknowledge
-        self._lateness = Lateness()
+        self._lateness = Lateness(self.protocol)
         self._total_bytes = 0
         self.failure: BaseException | None = None
         """What ended the thread, if it wasn't `stop`: a fault of ours or of the disk, never of the line."""
@@ -111,7 +111,10 @@ class Reader:
                 protocol.advance(now_ns)
             if not data:
                 continue
-            if late_ns := lateness_ns(self._clock.lain_ns(transport.empty_ns)):
+            late_ns = lateness_ns(self._clock.lain_ns(transport.empty_ns))
+            if transport.received_ns is not None:
+                now_ns, late_ns = transport.received_ns, 0
+            if late_ns:
                 self._lateness.read_late(now_ns, late_ns)
                 protocol.counts["late_reads"] += 1
             self._record(data, now_ns, late_ns)

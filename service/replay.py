@@ -19,7 +19,7 @@ def arrivals(loaded: LoadedConfig, chunks: Iterable[RawChunk], counts: Counter[s
     configuration doesn't know are counted.
     """
     protocols = {device.name: device.protocol() for device in wiring(loaded)}
-    lateness = {name: Lateness() for name in protocols}
+    lateness = {name: Lateness(protocol) for name, protocol in protocols.items()}
     for chunk in chunks:
         protocol = protocols.get(chunk.device)
         if protocol is None:

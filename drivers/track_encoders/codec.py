@@ -6,9 +6,9 @@ slcan (the text protocol of LAWICEL adapters), each line ended by a carriage ret
 
     tIIIL[DD..]       11-bit identifier, length, data          rIIIL       remote request, no data
     TIIIIIIIIL[DD..]  29-bit identifier                         RIIIIIIIIL
-    ... then, if the adapter stamps its frames, four more hexadecimal digits of milliseconds
+    ... then, if the adapter stamps its frames, four more hexadecimal digits of milliseconds, or eight
 
-An adapter answers a command with a carriage return, and one that it refuses with a bell.
+CAN FD frames (d, D, b, B; `##` in a log) are recognised, and not read: the counters are classic frames.
 """
 
 import re
@@ -22,19 +22,22 @@ CAN_FRAME_BYTES = _CAN_FRAME.size
 _EXTENDED_FLAG, _REMOTE_FLAG, _ERROR_FLAG = 0x8000_0000, 0x4000_0000, 0x2000_0000
 _STANDARD_MASK, _EXTENDED_MASK = 0x7FF, 0x1FFF_FFFF
 
-OK, BELL = b"\r", b"\a"
-SLCAN_LINE_BYTES = len("T1FFFFFFF8") + 16 + len("FFFF")
-"""Longest line of a classic frame, without its end."""
-SLCAN_BITRATES = {10000: 0, 20000: 1, 50000: 2, 100000: 3, 125000: 4, 250000: 5, 500000: 6, 800000: 7, 1000000: 8}
+SLCAN_LINE_BYTES = len("D1FFFFFFFF") + 2 * 64 + len("FFFFFFFF")
+"""Longest line, without its end."""
 
 _SLCAN_FRAME = re.compile(
     rb"(?:([tr])([0-7][0-9A-Fa-f]{2})|([TR])([01][0-9A-Fa-f]{7}))([0-8])((?:[0-9A-Fa-f]{2})*)", re.ASCII
 )
+SLCAN_FD = re.compile(rb"(?:[db][0-7][0-9A-Fa-f]{2}|[DB][01][0-9A-Fa-f]{7})[0-9A-Fa-f](?:[0-9A-Fa-f]{2}){0,68}")
+"""A CAN FD frame, as CANable adapters write it."""
+_STAMP = r"\(([0-9]{1,10})\.([0-9]{6}|[0-9]{9})\)"
+_IDENTIFIER = r"([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})"
 _CANDUMP_LINE = re.compile(
-    r"\(([0-9]{1,10})\.([0-9]{6}|[0-9]{9})\) (\S{1,32}) ([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#"
-    r"(?:(R)([0-8])?|((?:[0-9A-Fa-f]{2}){0,8}))(?: [RT])?\s*",
+    rf"{_STAMP} +(\S{{1,32}}) +{_IDENTIFIER}#(?:(R)([0-8])?|((?:[0-9A-Fa-f]{{2}}){{0,8}})(?:_[9A-Fa-f])?)(?: [RT])?\s*",
     re.ASCII,
 )
+CANDUMP_FD = re.compile(rf"{_STAMP} +(\S{{1,32}}) +{_IDENTIFIER}##[0-9A-Fa-f](?:[0-9A-Fa-f]{{2}}){{0,64}}(?: [RT])?\s*")
+"""A CAN FD frame in such a log."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +68,7 @@ def parse_slcan(line: bytes) -> CanFrame | None:
     dlc, remote = int(length), (short or long) in b"rR"
     data = bytes.fromhex(digits.decode())
     data_bytes = 0 if remote else dlc
-    if len(data) not in (data_bytes, data_bytes + 2):  # two more: the adapter's own time stamp
+    if len(data) not in (data_bytes, data_bytes + 2, data_bytes + 4):  # more: the adapter's own time stamp
         return None
     return CanFrame(int(short_id or long_id, 16), data[:data_bytes], dlc, extended=long is not None, remote=remote)
 
@@ -107,7 +110,7 @@ class LoggedFrame:
 
 
 def parse_candump_line(line: str) -> LoggedFrame | None:
-    """The frame in one line of `candump -l`; None where the line holds none."""
+    """The frame in one line of `candump -l` or `-L`, with or without its direction; None where the line holds none."""
     match = _CANDUMP_LINE.fullmatch(line)
     if match is None:
         return None

@@ -1,7 +1,9 @@
-"""Track counters inside CAN messages: where a DBC says that they stand, and how they are unwrapped.
+"""Track counters inside CAN messages: where a DBC says that they stand.
 
-A signal is read raw, without its scale and offset: what counts is the number of ticks. cantools reads the DBC; the
-decoding itself is a shift and a mask, made once.
+What counts is the number of ticks. A counter that runs on is read raw: its scale and offset mean metres to somebody
+else, and its sign only says from where it wraps. One that is sent as an increment is read with its sign and with its
+offset, in raw steps. cantools reads the DBC; the decoding itself is a shift and a mask, made once. Little and big
+endian, any length up to 32 bits, multiplexed or not.
 """
 
 from dataclasses import dataclass
@@ -11,6 +13,8 @@ import cantools
 
 from drivers.errors import ConfigurationError
 from drivers.track_encoders.codec import CanFrame
+
+_SPEEDS = ("m/s", "mps", "mm/s", "km/h", "kmh", "kph", "kmph", "mph", "rpm", "1/min", "rad/s", "deg/s", "hz", "ticks/s")
 
 
 class Field(Protocol):
@@ -52,6 +56,9 @@ class TrackCounter:
     extended: bool
     message_bytes: int
     bits: int
+    signed: bool
+    offset: int
+    """Of an increment, in raw steps."""
     field: Field
     selector: Field | None
     """Of a multiplexed message: which part of it this frame holds..."""
@@ -64,11 +71,24 @@ class TrackCounter:
             return None
         return self.field(frame.data)
 
+    def read_increment(self, frame: CanFrame) -> int | None:
+        """The ticks that such a frame adds, with their sign; None as above."""
+        raw = self.read(frame)
+        if raw is None:
+            return None
+        return raw + self.offset - (((raw >> (self.bits - 1)) << self.bits) if self.signed else 0)
+
+    def comes_with(self, other: "TrackCounter") -> bool:
+        """Does the same frame carry both?"""
+        mine, its = (self.can_id, self.extended), (other.can_id, other.extended)
+        selected = self.selected == other.selected and len(self.selected) <= 1
+        return mine == its and self.selector == other.selector and selected
+
 
 def find_counter(dbc: str, name: str) -> TrackCounter:
     """The counter called `name` (MESSAGE.SIGNAL) in the text of a DBC file."""
     try:
-        database: Any = cantools.database.load_string(dbc, database_format="dbc")
+        database: Any = cantools.database.load_string(dbc, database_format="dbc", strict=False)
     except Exception as error:  # the parser raises many kinds
         raise ConfigurationError(f"the DBC file can't be read ({error}); give a Vector DBC file") from error
     message_name, _, signal_name = name.partition(".")
@@ -81,21 +101,43 @@ def find_counter(dbc: str, name: str) -> TrackCounter:
         raise ConfigurationError(f"{name!r}: {message_name} has no signal {signal_name!r}; {known} (MESSAGE.SIGNAL)")
     if signal.is_float:
         raise ConfigurationError(f"{name!r}: is a floating point signal; a track counter is an integer")
+    if not 2 <= signal.length <= 32:
+        raise ConfigurationError(f"{name!r}: has {signal.length} bits; a track counter has 2 to 32")
+    if str(signal.unit or "").strip().lower() in _SPEEDS:
+        raise ConfigurationError(
+            f"{name!r}: is a speed ({signal.unit}); what happens between two speeds nobody knows. Name a counter, or "
+            "the ticks since the last message (counting = 'incremental')"
+        )
     if message.length > 8:
         raise ConfigurationError(f"{name!r}: {message_name} has {message.length} bytes; only classic CAN (8) is read")
+    field = _field(signal, message.length)
+    if field.shift < 0 or field.shift + signal.length > 8 * message.length:
+        raise ConfigurationError(
+            f"{name!r}: lies outside the {message.length} bytes of {message_name}; mend the DBC file"
+        )
     selector = next((s for s in message.signals if s.name == signal.multiplexer_signal), None)
     return TrackCounter(
         can_id=message.frame_id,
         extended=message.is_extended_frame,
         message_bytes=message.length,
         bits=signal.length,
-        field=_field(signal, message.length),
+        signed=signal.is_signed,
+        offset=_offset(name, signal),
+        field=field,
         selector=None if selector is None else _field(selector, message.length),
         selected=frozenset(signal.multiplexer_ids or ()),
     )
 
 
-def _field(signal: Any, message_bytes: int) -> Field:
+def _offset(name: str, signal: Any) -> int:
+    """In raw steps: a DBC's physical value is raw * scale + offset."""
+    steps = signal.offset / signal.scale if signal.scale else 0.0
+    if steps != round(steps):
+        raise ConfigurationError(f"{name!r}: offset {signal.offset} is no whole number of steps of {signal.scale}")
+    return round(steps)
+
+
+def _field(signal: Any, message_bytes: int) -> LittleEndianField | BigEndianField:
     mask = (1 << signal.length) - 1
     if signal.byte_order == "little_endian":
         return LittleEndianField(signal.start, mask)
@@ -107,31 +149,3 @@ def _field(signal: Any, message_bytes: int) -> Field:
 def _choice(things: Any) -> str:
     names = sorted(thing.name for thing in things)
     return f"choose one of {', '.join(names[:20])}{', ...' if len(names) > 20 else ''}"
-
-
-class Unwrapped:
-    """A counter without end, from one that wraps around after `bits` bits.
-
-    With d = (new - old) mod 2^bits, taken as -2^(bits-1) <= d < 2^(bits-1): right as long as the true change since
-    the last reading is within these limits.
-    """
-
-    def __init__(self, bits: int) -> None:
-        """Nothing read yet."""
-        self._half = 1 << (bits - 1)
-        self._raw: int | None = None
-        self.total = 0
-
-    def advance(self, raw: int) -> int:
-        """Take a reading; returns the change since the last one (0 for the first)."""
-        if self._raw is None:
-            self._raw = self.total = raw
-            return 0
-        change = ((raw - self._raw + self._half) % (2 * self._half)) - self._half
-        self._raw = raw
-        self.total += change
-        return change
-
-    def restart(self) -> None:
-        """Forget: the next reading begins a new count."""
-        self._raw = None

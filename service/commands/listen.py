@@ -111,7 +111,7 @@ def encoders(
     """
     protocol = TrackEncoderProtocol(encoders_config(left, right, interface, bitrate), read_dbc(dbc))
     if interface == "socketcan":
-        return _listen(lambda: open_socketcan(port, bitrate), [protocol], seconds)
+        return _listen(lambda: open_socketcan(port, bitrate, protocol.messages), [protocol], seconds)
     return _listen(lambda: open_serial(port, baud), [protocol], seconds, baud)
 
 
@@ -218,7 +218,7 @@ class _Wire:
                 protocol.advance(now_ns)
             self.byte_count += len(data)
             if data:
-                yield list(protocol.receive_data(data, now_ns))
+                yield list(protocol.receive_data(data, self._transport.received_ns or now_ns))
 
     def close(self) -> None:
         """Let go of the port."""

@@ -80,7 +80,7 @@ class _Rehearsed:
         self._protocol = protocol
         self._passed_ns: deque[int] = deque()
         self._late: deque[tuple[int, int]] = deque()
-        self._lateness = Lateness()
+        self._lateness = Lateness(protocol)
         self.counts = protocol.counts
 
     @property

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from drivers.config import EncodersConfig
 from drivers.errors import ConfigurationError
 from drivers.samples import Stamp, WheelTicks
+from drivers.track_encoders.adapter import AdapterIdentity
 from drivers.track_encoders.codec import (
     CanFrame,
     LoggedFrame,
@@ -23,7 +24,7 @@ from drivers.track_encoders.codec import (
     serialise_slcan,
     unpack_can_frame,
 )
-from drivers.track_encoders.counters import Unwrapped, find_counter
+from drivers.track_encoders.counters import find_counter
 from drivers.track_encoders.protocol import TrackEncoderProtocol
 from simulator.emulators.track_encoders import TrackEncodersEmulator, tracks_frame
 
@@ -37,6 +38,19 @@ BO_ 2147483665 R: 8 U
  SG_ COUNT m2 : 8|24@1+ (1,0) [0|0] "" U
  SG_ SPEED m1 : 8|24@1+ (1,0) [0|0] "" U
 """
+ODD = (
+    TWO_MESSAGES
+    + """BO_ 18 X: 8 U
+ SG_ NOTHING : 0|8@1+ (1,0) [0|0] "" U
+"""
+)
+ODD = ODD.replace(
+    ' SG_ COUNT : 7|32@0- (0.001,0) [0|0] "m" U',
+    """ SG_ COUNT : 0|16@1+ (1,0) [0|0] "" U
+ SG_ SPEED : 16|8@1+ (1,0) [0|0] "km/h" U
+ SG_ ODD : 16|8@1- (0.5,0.3) [0|0] "" U
+ SG_ WIDE : 24|40@1+ (1,0) [0|0] "" U""",
+)
 MS = 1_000_000
 
 frames = st.builds(
@@ -116,49 +130,14 @@ def test_the_host_opens_the_adapter_and_ticks_flow() -> None:
     samples = []
     for t in range(30, 100, 5):
         samples += host.receive_data(device.data_to_send(t * MS), t * MS)
-    assert host.counts["opened"] == 1
+        device.receive_data(host.data_to_send(), t * MS)
+    assert (host.counts["opened"], host.state) == (1, "open")
+    assert host.identity == AdapterIdentity("1013", "A123")
     assert host.counts["refused_commands"] == 0
     start = samples[0]
-    assert [(s.left - start.left, s.right - start.right) for s in samples] == [(10 * i, -5 * i) for i in range(7)]
-    assert samples[0].stamp == Stamp(26 * MS, 29 * MS)
+    assert [(s.left - start.left, s.right - start.right) for s in samples] == [(10 * i, -5 * i) for i in range(5)]
+    assert samples[0].stamp == Stamp(46 * MS, 49 * MS)
     assert {s.epoch for s in samples} == {0}
-
-
-def test_a_wrong_bit_rate_does_not_go_unnoticed() -> None:
-    """An adapter that answers with a bell is counted, and opened again after a second of silence."""
-    host = protocol()
-    host.connection_made(0)
-    assert host.data_to_send() == b"C\rS6\rO\r"
-    host.receive_data(b"\a\a\a", MS)
-    assert host.counts["refused_commands"] == 2
-    assert host.deadline_ns == 1000 * MS
-    host.advance(999 * MS)
-    assert host.data_to_send() == b""
-    host.advance(1000 * MS)
-    assert host.data_to_send() == b"C\rS6\rO\r"
-
-
-def test_an_adapter_refuses_what_it_cannot_do() -> None:
-    """The emulator answers as adapters do."""
-    device = TrackEncodersEmulator(lambda t: (0.0, 0.0), period_ns=10**15)
-    answers = []
-    for command in (b"O", b"C", b"S9", b"S6", b"O", b"O", b"S4", b"V", b"F", b"t1230", b"t1234", b"C"):
-        device.receive_data(command + b"\r", 1)
-        answers.append(device.data_to_send(1))
-    assert answers == [
-        b"\a",
-        b"\a",
-        b"\a",
-        b"\r",
-        b"\r",
-        b"\a",
-        b"\a",
-        b"V1013\r",
-        b"F00\r",
-        b"z\r",
-        b"\a",
-        b"\r",
-    ]
 
 
 STREAM = b"".join(line(100 * i, 7 * i) for i in range(20))
@@ -221,18 +200,6 @@ def test_records_of_the_kernel_carry_the_same_ticks() -> None:
     assert host.counts["skipped_bytes"] == 4
 
 
-@given(st.sampled_from([8, 16, 24, 32]), st.lists(st.floats(-0.49, 0.49), max_size=30))
-def test_unwrapping_loses_no_tick(bits: int, steps: list[float]) -> None:
-    """Any motion of less than half the range between two readings comes out exactly."""
-    counter, true = Unwrapped(bits), (1 << bits) - 3
-    counter.advance(true)
-    for step in steps:
-        change = int(step * (1 << bits))
-        true += change
-        assert counter.advance(true % (1 << bits)) == change
-    assert counter.total == true
-
-
 def test_left_and_right_in_two_messages_are_paired_by_arrival() -> None:
     """A sample comes when both were seen anew; its stamp covers both; foreign multiplexed parts are skipped."""
     host = TrackEncoderProtocol(config(left="L.COUNT", right="R.COUNT"), TWO_MESSAGES)
@@ -269,14 +236,109 @@ def test_a_signals_place_agrees_with_cantools(order: str) -> None:
 def test_a_new_epoch_begins_where_counts_may_not_be_subtracted() -> None:
     """A long gap, a restarted unit and a reopened port: nobody subtracts across them."""
     host = protocol()
-    epochs = [s.epoch for s in host.receive_data(line(30_000, 30_000), 0)]
-    epochs += [s.epoch for s in host.receive_data(line(30_010, 30_010), 10 * MS)]
-    epochs += [s.epoch for s in host.receive_data(line(0, 0), 20 * MS)]
-    epochs += [s.epoch for s in host.receive_data(line(5, 5), 30 * MS)]
-    epochs += [s.epoch for s in host.receive_data(line(9, 9), 2000 * MS)]
+    told = []
+    for t, count in ((0, 30_000), (10, 30_010), (20, 0), (30, 5), (40, 9), (2000, 12)):
+        told += [(s.left, s.epoch) for s in host.receive_data(line(count, count), t * MS)]
     host.connection_made(2005 * MS)
-    epochs += [s.epoch for s in host.receive_data(line(9, 9), 2010 * MS)]
-    assert epochs == [0, 0, 1, 1, 2, 3]
+    told += [(s.left, s.epoch) for s in host.receive_data(line(15, 15), 2010 * MS)]
+    assert told == [(30_000, 0), (30_010, 0), (0, 1), (5, 1), (9, 1), (12, 2), (15, 3)]
+    assert (host.counts["restarts"], host.counts["gaps"]) == (1, 1)
+
+
+INCREMENTS = """VERSION ""
+BU_: U
+BO_ 16 M: 4 U
+ SG_ L : 7|16@0- (0.5,0) [0|0] "ticks" U
+ SG_ R : 16|16@1+ (1,-32768) [0|0] "ticks" U
+"""
+
+
+def test_increments_are_summed_with_their_sign_and_offset() -> None:
+    """Two's complement on one side, an offset on the other; a lost message begins a new epoch."""
+    host = TrackEncoderProtocol(
+        config(left="M.L", right="M.R", counting="incremental", least_period_ms=8.0), INCREMENTS, max_track_mps=1.0
+    )
+
+    def message(left: int, right: int) -> bytes:
+        return serialise_slcan(
+            CanFrame(16, left.to_bytes(2, "big", signed=True) + (right + 32768).to_bytes(2, "little"))
+        )
+
+    told = []
+    for t, left, right in ((0, 5, 7), (10, -3, 8), (20, -1, -9), (20, -1, -9), (30, 4, 1), (50, 1, 1), (60, 2, 3)):
+        told += [(s.left, s.right, s.epoch) for s in host.receive_data(message(left, right), t * MS)]
+    assert told == [(5, 7, 0), (2, 15, 0), (1, 6, 0), (5, 7, 0), (6, 8, 1), (8, 11, 1)]
+    assert (host.counts["duplicate"], host.counts["lost"]) == (2, 2)  # in either track
+
+
+def test_a_late_read_hides_how_long_ago_a_count_was() -> None:
+    """What lay in the port for 90 ms may be older than a restart takes: from there a new epoch begins."""
+    told = []
+    for late_ms in (0, 70, 98):
+        host = TrackEncoderProtocol(config(), TRACKS, max_track_mps=1.0)
+        host.read_late(late_ms * MS)
+        told += [s.epoch for s in host.receive_data(line(5, 5), 0)]
+        told += [s.epoch for s in host.receive_data(line(6, 6), 10 * MS)]
+    assert told == [0, 0, 0, 0, 0, 1]
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"counting": "incremental"}, "least_period_ms"),
+        ({"counting": "incremental", "least_period_ms": 3.0}, "latency_ms"),
+        ({"left": "L.COUNT", "right": "R.COUNT"}, "quantisation_ticks: 1 is too small"),
+        ({"left": "L.SPEED"}, "is a speed"),
+        ({"left": "L.WIDE"}, "40 bits"),
+        ({"left": "L.ODD", "counting": "incremental", "least_period_ms": 9.0}, "no whole number of steps"),
+    ],
+)
+def test_a_declaration_that_cannot_be_kept_is_refused(changes: dict[str, object], text: str) -> None:
+    """The message names the key, and says what would do."""
+    with pytest.raises(ConfigurationError, match=text):
+        TrackEncoderProtocol(config(**{"left": "L.COUNT", "right": "L.COUNT", **changes}), ODD, max_track_mps=1.0)
+
+
+def test_left_and_right_too_far_apart_are_no_pair() -> None:
+    """One of the two messages was lost: the other waits for none that comes a cycle later."""
+    host = TrackEncoderProtocol(config(left="L.COUNT", right="R.COUNT"), TWO_MESSAGES)
+    left, right = CanFrame(16, bytes(8)), CanFrame(17, b"\x02" + bytes(7), extended=True)
+    told = []
+    for frame, t in ((left, 0), (right, 1), (right, 11), (left, 20), (right, 21), (left, 30), (right, 31)):
+        told += [s.stamp.latest_ns // MS for s in host.receive_frame(frame, t * MS)]
+    assert told == [0, 20, 30]
+    assert host.counts["unpaired"] == 1
+
+
+@pytest.mark.parametrize("speed", [1.0, None])
+def test_a_false_count_is_kept_back(speed: float | None) -> None:
+    """A flipped digit that no track could have run is never delivered, and costs no epoch."""
+    host = TrackEncoderProtocol(config(), TRACKS, speed)
+    samples = []
+    for i in range(20):
+        samples += host.receive_data(line(100 * i, 50 * i + (0x6000 if i == 7 else 0)), 10 * i * MS)
+    assert counts_of(samples) == [(100 * i, 50 * i) for i in range(20) if i != 7]
+    assert {s.epoch for s in samples} == {0}
+    assert host.counts["jumps"] == 1
+
+
+def test_bus_errors_are_told_as_what_they_are() -> None:
+    """Error frames by their class: bus-off stands in the state until the bus is heard again."""
+    host = protocol(interface="socketcan")
+    host.receive_frame(CanFrame(0x04, bytes(8), error=True), 0)
+    assert host.state == ""
+    host.receive_frame(CanFrame(0x40, bytes(8), error=True), 1)
+    assert "bus-off" in host.state
+    host.receive_frame(CanFrame(0x100, bytes(8), error=True), 2)
+    assert host.state == ""
+    assert [host.counts[name] for name in ("error_frames", "bus_off", "bus_restarts")] == [3, 1, 1]
+
+
+def test_frames_of_can_fd_are_told_apart_from_dirt() -> None:
+    """Not read, but known."""
+    host = protocol()
+    assert host.receive_data(b"d1819" + b"00" * 12 + b"\rB00000181F" + b"00" * 64 + b"\r" + line(1, 2), 0)
+    assert (host.counts["fd_frames"], host.counts["bad_frames"], host.counts["skipped_bytes"]) == (2, 0, 0)
 
 
 @pytest.mark.parametrize(
