@@ -21,3 +21,17 @@ class MapConfig:
     """Without a store: forget the tiles farthest from the robot instead, and count them."""
     max_footprint_m: Positive = 3.0
     """A beam whose footprint is wider than this tells too little: it is skipped and counted."""
+    evidence_slots: Annotated[int, Field(ge=0, le=16)] = 0
+    """Keep cells apart by so many time slots, dealt round robin, to tell what was seen only for a moment (settled
+    bounds, docs/ghosts.md). Each slot takes another 8 bytes a cell, and 8 more for all. 0: none."""
+    evidence_slot_ms: Annotated[float, Field(ge=1.0, le=3.6e6)] = 1000.0
+    """Length of a slot: what lasts no longer is in two slots at most."""
+    evidence_set_aside: Annotated[int, Field(ge=1, le=8)] = 1
+    """So many slots' extremes are set aside: 1 against rain and single bad beams, 2 against what passes by."""
+
+    def __post_init__(self) -> None:
+        if 0 < self.evidence_slots <= 2 * self.evidence_set_aside:
+            raise ValueError(
+                f"evidence_slots = {self.evidence_slots} can't outvote evidence_set_aside = {self.evidence_set_aside}: "
+                f"give at least {2 * self.evidence_set_aside + 1} slots, or 0 for none"
+            )

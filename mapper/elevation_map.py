@@ -7,6 +7,7 @@ long as the pose boxes and the laser's declared bounds hold. Cells only ever gro
 import mmap
 from collections import Counter
 from collections.abc import Iterable
+from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from drivers.config import LaserConfig
 from drivers.samples import Scan
-from mapper import kernel
+from mapper import kernel, tile_layers
 from mapper.config import MapConfig
 from mapper.grid import TILE_SIDE, tile_indices, tile_key
 from mapper.projection import B_SIZE, LANES, P_SIZE, Floats, beam_table, laser_geometry
@@ -61,6 +62,7 @@ class ElevationMap:
         self._spans = np.zeros(kernel.S_SIZE, np.int32)
         self._heights = np.zeros(2 * LANES, np.float32)
         self._tiles_left_out = 0
+        self._slot_ns = round(config.evidence_slot_ms * 1e6)
         # Room for all tiles there may ever be: memory that nobody has touched costs nothing.
         most = config.max_tiles
         self._numbers = np.zeros(kernel.N_SIZE, np.int64)
@@ -69,11 +71,10 @@ class ElevationMap:
         self._keys = np.zeros(most, np.uint64)
         self._dirty = np.zeros(most, np.bool_)
         self._sure = np.zeros((most, TILE_SIDE), np.uint64)
-        self._pool = _untouched_pool(most)
+        self._pool = _untouched_pool(most, 1 + config.evidence_slots if config.evidence_slots else 1)
         self._make_ready()
-        self._insert(np.empty(0), np.empty(0, np.int32), np.zeros((1, 6)), np.zeros((1, 6)))
-        low, high = np.empty((2, TILE_SIDE, TILE_SIDE), np.float32)
-        kernel.copy_tile(0, self._pool, self._sure, low, high, np.empty((TILE_SIDE, TILE_SIDE), np.bool_))
+        self._insert(0, np.empty(0), np.empty(0, np.int32), np.zeros((1, 6)), np.zeros((1, 6)))
+        self._layers(0)
 
     def insert(self, scan: Scan, low: Floats, high: Floats, pose_index: NDArray[np.int32]) -> InsertResult:
         """Take a scan in whose beam i was shot from somewhere in the pose box [low, high][pose_index[i]].
@@ -83,6 +84,7 @@ class ElevationMap:
         """
         self._turn_to(scan)
         self._insert(
+            self._plane(scan.stamp.earliest_ns),
             _plain(scan.ranges_m, np.float64),
             _plain(pose_index, np.int32),
             _plain(low, np.float64),
@@ -109,8 +111,8 @@ class ElevationMap:
             )
         while True:
             # fmt: off
-            found = kernel.join_tile(
-                tile.ix, tile.iy, tile.low, tile.high, tile.surely_hit,
+            found = tile_layers.join_tile(
+                tile.ix, tile.iy, *tile.layers,
                 self._numbers, self._table, self._keys, self._dirty, self._pool, self._sure,
             )
             # fmt: on
@@ -162,15 +164,20 @@ class ElevationMap:
     @property
     def cells_seen(self) -> int:
         """Cells that hold an interval. Reads the whole map."""
-        return kernel.tally(self.tile_count, self._pool)[0]
+        return tile_layers.tally(self.tile_count, self._pool)[0]
 
     @property
     def mean_width_m(self) -> float:
         """Mean width of those intervals; NaN while the map is empty. Reads the whole map."""
-        seen, width = kernel.tally(self.tile_count, self._pool)
+        seen, width = tile_layers.tally(self.tile_count, self._pool)
         return width / seen if seen else float("nan")
 
-    def _insert(self, ranges: Floats, pose_index: NDArray[np.int32], low: Floats, high: Floats) -> None:
+    def _plane(self, time_ns: int) -> int:
+        """Where in the pool a scan of that time goes."""
+        slots = self.config.evidence_slots
+        return 1 + time_ns // self._slot_ns % slots if slots else 0
+
+    def _insert(self, plane: int, ranges: Floats, pose_index: NDArray[np.int32], low: Floats, high: Floats) -> None:
         if pose_index.shape != ranges.shape or low.shape != high.shape or low.shape[1:] != (6,):
             raise ValueError(
                 f"need pose_index [{ranges.size}] and low, high [m, 6]; "
@@ -183,7 +190,7 @@ class ElevationMap:
             # fmt: off
             done = kernel.insert_beams(
                 done, ranges, self._directions, pose_index, low, high,
-                self._geometry, self.config.resolution_m, self.config.max_footprint_m,
+                self._geometry, self.config.resolution_m, self.config.max_footprint_m, plane,
                 self._poses, self._scratch, self._spans, self._heights,
                 self._numbers, self._table, self._keys, self._dirty, self._pool, self._sure,
             )
@@ -202,10 +209,17 @@ class ElevationMap:
 
     def _tile(self, index: int) -> Tile:
         ix, iy = tile_indices(int(self._keys[index]))
-        low, high = np.empty((2, TILE_SIDE, TILE_SIDE), np.float32)
+        return Tile(self.submap, ix, iy, self.config.resolution_m, *self._layers(index))
+
+    def _layers(self, index: int) -> list[NDArray[Any]]:
+        """The layers of a tile, as its constructor takes them; none of settled cells where no evidence is kept."""
+        low, high, settled_low, settled_high = np.empty((4, TILE_SIDE, TILE_SIDE), np.float32)
         surely_hit = np.empty((TILE_SIDE, TILE_SIDE), np.bool_)
-        kernel.copy_tile(index, self._pool, self._sure, low, high, surely_hit)
-        return Tile(self.submap, ix, iy, self.config.resolution_m, low, high, surely_hit)
+        tile_layers.copy_tile(self._pool[index], self._sure[index], low, high, surely_hit)
+        if not self.config.evidence_slots:
+            return [low, high, surely_hit]
+        tile_layers.copy_settled(self._pool[index], self.config.evidence_set_aside, settled_low, settled_high)
+        return [low, high, surely_hit, settled_low, settled_high]
 
     def _make_ready(self) -> None:
         """Touch the memory of the next tiles, all of them unseen: the kernel never waits for a page."""
@@ -218,11 +232,13 @@ class ElevationMap:
         self._numbers[kernel.N_READY] = more
 
 
-def _untouched_pool(tiles: int) -> kernel.Cells:
-    """[tiles, TILE_FLOATS] float32 that begins on a page and takes memory only where it is written to."""
+def _untouched_pool(tiles: int, planes: int) -> kernel.Cells:
+    """[tiles, planes, TILE_FLOATS] float32 that begins on a page and takes memory only where it is written to."""
     flags = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | _MAP_NORESERVE
-    memory = mmap.mmap(-1, tiles * kernel.TILE_BYTES + mmap.PAGESIZE, flags=flags)  # the last block may reach beyond
-    return np.frombuffer(memory, np.float32, tiles * kernel.TILE_FLOATS).reshape(tiles, kernel.TILE_FLOATS)
+    shape = tiles, planes, kernel.TILE_FLOATS
+    # The last block of the last row may reach beyond.
+    memory = mmap.mmap(-1, tiles * planes * kernel.TILE_BYTES + mmap.PAGESIZE, flags=flags)
+    return np.frombuffer(memory, np.float32, prod(shape)).reshape(shape)
 
 
 def _plain(array: NDArray[Any], dtype: type) -> NDArray[Any]:

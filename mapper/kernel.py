@@ -33,6 +33,7 @@ B_DX, B_DY, B_DZ = B_HALF, B_HALF + LANES, B_HALF + 2 * LANES
 WORK_SIZE = 4 * W_ROWS
 
 Cells = NDArray[np.float32]
+"""The pool: [tiles, planes, TILE_FLOATS]. One plane, or one for tiles joined and one for each time slot."""
 Indices = NDArray[np.int32]
 Counts = NDArray[np.int64]
 Keys = NDArray[np.uint64]
@@ -45,8 +46,6 @@ TILE_BYTES = TILE_CELLS * CELL_BYTES
 FREE = 0
 """In the hash table: no tile here; a tile stands as its number + 1."""
 UNSEEN = np.float32(-np.inf)
-NOTHING = np.uint32(0x7FC00000).view(np.float32)
-"""What a tile says of an unseen cell."""
 LEFT_OUT = np.int64(-1)
 """In place of a tile's number: the map has max_tiles already."""
 POOL_FULL = np.int64(-2)
@@ -192,6 +191,7 @@ def insert_beams(
     geometry: Floats,
     resolution_m: float,
     max_footprint_m: float,
+    plane: int,
     poses: Floats,
     scratch: Floats,
     spans: Indices,
@@ -203,12 +203,13 @@ def insert_beams(
     pool: Cells,
     sure: Bits,
 ) -> int:
-    """Take beams from `first` on; return the number of the beam that needs more tiles ready, or n when all are done.
+    """Take beams from `first` on into a plane; return the beam that needs more tiles ready, or n when all are done.
 
     ranges, pose_index [n]; directions [2, n] cosines, sines; pose_low, pose_high [m, 6]; poses [>= m, P_SIZE],
     scratch, spans, heights: scratch; numbers [N_SIZE]; table the hash; keys, dirty, pool, sure one row a tile.
     """
-    beams, inverse, pool_address = ranges.size, 1.0 / resolution_m, np.uint64(pool.ctypes.data)
+    beams, inverse = ranges.size, 1.0 / resolution_m
+    plane_address, stride = np.uint64(pool.ctypes.data + plane * TILE_BYTES), pool.shape[1] * TILE_BYTES
     cosines, sines = directions[0], directions[1]
     work, block = scratch[:WORK_SIZE].reshape(W_ROWS, 4), scratch[WORK_SIZE:]
     for m in range(pose_low.shape[0]):
@@ -246,7 +247,7 @@ def insert_beams(
                             last_key, last_tile = key, tile
                         row0, row1 = max(j0 - (ty << TILE_SHIFT), 0), min(j1 - (ty << TILE_SHIFT), TILE_SIDE - 1)
                         col0, col1 = max(i0 - (tx << TILE_SHIFT), 0), min(i1 - (tx << TILE_SHIFT), TILE_SIDE - 1)
-                        tile_address = pool_address + np.uint64(last_tile * TILE_BYTES)
+                        tile_address = plane_address + np.uint64(last_tile * stride)
                         changed = hull_cells(tile_address, row0, row1, col0, col1, heights[lane], heights[LANES + lane])
                         if i0 == i1 and j0 == j1:  # the hit is in this cell, as the footprint reaches no other
                             bit = np.uint64(1) << np.uint64(col0)
@@ -259,62 +260,3 @@ def insert_beams(
     for fate in range(FATES):
         numbers[N_TOTALS + fate] += numbers[fate]
     return beams
-
-
-@compiled
-def join_tile(
-    ix: int,
-    iy: int,
-    low: Cells,
-    high: Cells,
-    surely_hit: Flags,
-    numbers: Counts,
-    table: Indices,
-    keys: Keys,
-    dirty: Flags,
-    pool: Cells,
-    sure: Bits,
-) -> np.int64:
-    """Join a tile's layers [64, 64] (NaN: nothing) into the map; its number, LEFT_OUT or POOL_FULL."""
-    tile = tile_at(tile_key(ix, iy), numbers, table, keys)
-    if tile < 0:
-        return tile
-    for row in range(TILE_SIDE):
-        word = np.uint64(0)
-        for col in range(TILE_SIDE):
-            at = 2 * (row * TILE_SIDE + col)
-            if -low[row, col] > pool[tile, at]:  # False for NaN
-                pool[tile, at] = -low[row, col]
-                dirty[tile] = True
-            if high[row, col] > pool[tile, at + 1]:
-                pool[tile, at + 1] = high[row, col]
-                dirty[tile] = True
-            word |= np.uint64(surely_hit[row, col]) << np.uint64(col)
-        if word & ~sure[tile, row] != np.uint64(0):
-            sure[tile, row] |= word
-            dirty[tile] = True
-    return tile
-
-
-@compiled
-def copy_tile(tile: int, pool: Cells, sure: Bits, low: Cells, high: Cells, surely_hit: Flags) -> None:
-    """A tile's low and high [64, 64], NaN where nothing was seen, and its flags."""
-    for row in range(TILE_SIDE):
-        for col in range(TILE_SIDE):
-            at = 2 * (row * TILE_SIDE + col)
-            seen = pool[tile, at] > UNSEEN
-            low[row, col] = -pool[tile, at] if seen else NOTHING
-            high[row, col] = pool[tile, at + 1] if seen else NOTHING
-            surely_hit[row, col] = (sure[tile, row] >> np.uint64(col)) & np.uint64(1) != np.uint64(0)
-
-
-@compiled_unlocked
-def tally(tiles: int, pool: Cells) -> tuple[int, float]:
-    """Cells seen in the first `tiles` tiles, and the sum of their widths."""
-    seen, width = 0, 0.0
-    for tile in range(tiles):
-        for at in range(0, TILE_FLOATS, 2):
-            if pool[tile, at] > UNSEEN:
-                seen += 1
-                width += np.float64(pool[tile, at]) + np.float64(pool[tile, at + 1])
-    return seen, width
