@@ -63,12 +63,11 @@ class Anchoring:
             self._on_earth(antenna, offset, around, yaws[1], box[EARTH])
             and self._in_map(antenna, i, j, a, b, anchor, points, box[MAP])
             and tied(anchor, yaws, box)
+            and self._position.contract(box, yaws)
         ):
             self._contradictions.report("gps", stamp.mid_ns)
             return
         self._anchor, self._points = anchor, points
-        turns.box[turns.newest, 2:] = yaws
-        self._position.contract(box)
         self._position.remember()
 
     def _offset(self, i: int, j: int, a: int, b: int) -> NDArray[np.float64]:

@@ -1,6 +1,6 @@
 """What the owner declares of the robot's motion, and how the filter is set."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 from pydantic.dataclasses import dataclass
@@ -37,6 +37,8 @@ class RobotConfig:
 class FilterConfig:
     """How the filter runs."""
 
+    set: Literal["box", "ellipsoid"] = "box"
+    """What x, y and yaw are kept as: boxes and a window of fixes, the tighter one; or the paper's ellipsoid."""
     reordering_window_ms: Positive = 100.0
     """Samples are taken in the order of their stamps inside this window; later ones are dropped and counted."""
     standstill_s: Positive | None = 0.5

@@ -36,6 +36,7 @@ from estimator.interval import (
     up,
     widen,
 )
+from estimator.motion import Tracked
 
 X, Y, YAW, BIAS = range(4)
 UNITS = np.array([1.0, 1.0, 0.1, 0.005])
@@ -59,21 +60,6 @@ class HeadingStep(NamedTuple):
     """... and how much it can drift."""
 
 
-class Travelled(NamedTuple):
-    """What the tracks say of a step."""
-
-    distance: Interval
-    """Integral of the speed, but for the counts' errors."""
-    path: float
-    """Integral of |speed|."""
-    sideways: float
-    """Integral of |lateral speed|."""
-    normal: float
-    """Integral of |normal speed|."""
-    quantum: float
-    """How far a difference of two counts is off, in metres; 0: not counted."""
-
-
 def memory() -> NDArray[np.float64]:
     """What a step keeps of its predecessor: k, a [2 each], c, the half-width of yaw, its change [2], pending [2]."""
     return np.zeros(10)
@@ -85,8 +71,7 @@ def forward(
 ) -> tuple[Interval, Interval]:
     """r(t) - a δ for x and y: r the forward axis at any yaw = c + δ + s with |δ| <= half and c + s in roughly + [away].
 
-    Writes a [2]. Taylor's formula with Lagrange's remainder, met with the natural enclosure, which is better for a wide
-    yaw; there (above a radian) a = 0.
+    Writes a [2]. Taylor's formula with Lagrange's remainder, met with the natural enclosure, better for a wide yaw.
     """
     ct = cosine(pitch)
     most = up(half + mag(away))
@@ -97,8 +82,8 @@ def forward(
     values = (mul(ct, c0), mul(ct, s0))
     along = (mul(ct, (-s0[1], -s0[0])), mul(ct, c0))
     naturally = (mul(ct, c_all), mul(ct, s_all))
-    slopes[0] = mid(along[0]) if half < 1.0 else 0.0
-    slopes[1] = mid(along[1]) if half < 1.0 else 0.0
+    slopes[0] = mid(along[0])
+    slopes[1] = mid(along[1])
     rx = _rest(values[0], along[0], naturally[0], slopes[0], away, half, square)
     ry = _rest(values[1], along[1], naturally[1], slopes[1], away, half, square)
     return rx, ry
@@ -119,13 +104,17 @@ def _rest(
 def travel_ellipsoid(
     e: Ellipsoid,
     heading: HeadingStep,
-    travelled: Travelled,
+    tracked: Tracked,
+    sideways: float,
+    normal: float,
     roll: Interval,
     pitch: Interval,
     first: bool,
     kept: NDArray[np.float64],
 ) -> None:
     """E a step further, outer: `roll` and `pitch` hold over the step, `first` as in `motion.travel`.
+
+    sideways, normal: integrals of |lateral speed| and of |normal speed|.
 
     kept [10] is `memory`: kept[8:] becomes how far x, y of the reading can be from the ellipsoid's. The counts' errors
     telescope as in `motion.travel`, with k + a δ in the place of its constant axis: a step costs quantum times the
@@ -140,10 +129,10 @@ def travel_ellipsoid(
     around = widen(add((roughly, roughly), away), half)
     left = left_axis((roll, pitch, around))
     upward = up_axis((roll, pitch, around))
-    d = mid(travelled.distance)
-    unsure = reach(travelled.distance, d)
+    d = mid(tracked.distance)
+    unsure = reach(tracked.distance, d)
     wandered = sub((kept[6], kept[7]), outward(centre - kept[4], centre - kept[4]))
-    q = travelled.quantum
+    q = tracked.quantum if tracked.counted else 0.0
 
     matrix = np.eye(4)
     shift = np.zeros(4)
@@ -155,9 +144,9 @@ def travel_ellipsoid(
         matrix[i, YAW] = a * d
         shift[i] = k * d - a * d * centre
         columns[i, 0] = k * unsure
-        columns[i, 1] = mid(left[i]) * travelled.sideways
-        rest[i] = reach(axes[i], k) * travelled.path + abs(a) * half * unsure
-        rest[i] += reach(left[i], mid(left[i])) * travelled.sideways + mag(upward[i]) * travelled.normal
+        columns[i, 1] = mid(left[i]) * sideways
+        rest[i] = reach(axes[i], k) * tracked.path + abs(a) * half * unsure
+        rest[i] += reach(left[i], mid(left[i])) * sideways + mag(upward[i]) * normal
         if first:
             bent = 0.0
         elif q > 0.0:
@@ -166,7 +155,7 @@ def travel_ellipsoid(
         else:
             bent = kept[8 + i]
         rest[i] += bent
-        rest[i] += 8.0 * ULP * (abs(d) * (abs(k) + abs(a) * (abs(centre) + half)) + unsure + travelled.sideways)
+        rest[i] += 8.0 * ULP * (abs(d) * (abs(k) + abs(a) * (abs(centre) + half)) + unsure + sideways)
         rest[i] = up(rest[i] * ROUGHLY)
         kept[i] = k
         kept[2 + i] = a

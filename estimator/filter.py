@@ -24,6 +24,7 @@ from estimator.anchoring import Anchoring
 from estimator.attitude import EARTH_YAW, AttitudeChain
 from estimator.bounded_pose import Anchor, BoundedPose, Guarantee
 from estimator.config import FilterConfig, RobotConfig
+from estimator.ellipsoidal_position import EllipsoidalPosition
 from estimator.inconsistency import Contradictions
 from estimator.position import EARTH, PositionChain
 from estimator.standstill import Standstill
@@ -31,6 +32,10 @@ from estimator.tube import poses_between
 
 PENDING = 4096
 """Samples that may wait for the chain they depend on; the oldest are dropped."""
+
+
+POSITION_CHAINS: dict[str, type[PositionChain]] = {"box": PositionChain, "ellipsoid": EllipsoidalPosition}
+"""The sets a pose can be kept as."""
 
 
 class Filter:
@@ -47,7 +52,8 @@ class Filter:
         self.counts: Counter[str] = Counter()
         self._contradictions = Contradictions(self.counts)
         self._attitude = AttitudeChain(robot, config, imu, self.counts, self._contradictions)
-        self._position = PositionChain(robot, config, encoders, self._attitude, self.counts, self._contradictions)
+        chain = POSITION_CHAINS[config.set]
+        self._position = chain(robot, config, encoders, self._attitude, self.counts, self._contradictions)
         self._standstill = Standstill(config.standstill_s, self._attitude)
         self._anchoring = Anchoring(gps, self._attitude, self._position, self.counts, self._contradictions)
         self._tilts: deque[InertialSample] = deque(maxlen=PENDING)

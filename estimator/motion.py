@@ -293,6 +293,36 @@ def attitude_box(attitude: NDArray[np.float64]) -> Box3:
     )
 
 
+class Tracked(NamedTuple):
+    """What the tracks say of a step."""
+
+    distance: Interval
+    """Integral of the speed along the tracks, but for the counts' errors; empty: faster than the robot can."""
+    path: float
+    """Integral of |speed|."""
+    quantum: float
+    """How far a difference of two counts is off, in metres;"""
+    counted: bool
+    """... if both were counted."""
+
+
+@compiled
+def tracked(left: float, right: float, counted: bool, time_high: float, bounds: TrackBounds) -> Tracked:
+    """From the tracks' travel in metres between two counts (not `counted`: unknown, the counter restarted)."""
+    q = up(0.5 * up(bounds.quantum_left + bounds.quantum_right))
+    most = up(bounds.most_speed * time_high)
+    if not counted:
+        return Tracked((-most, most), most, q, False)
+    slip = up(
+        variation((left, left), bounds.quantum_left, bounds.most_track_acceleration, time_high)
+        + variation((right, right), bounds.quantum_right, bounds.most_track_acceleration, time_high)
+    )
+    d = scale(0.5, add(outward(left, left), outward(right, right)))
+    distance = meet(widen(d, up(up(0.5 * bounds.slip) * slip)), (-up(most + q), up(most + q)))
+    path = min(variation(distance, q, bounds.most_acceleration, time_high), most)
+    return Tracked(distance, path, q, True)
+
+
 @compiled
 def travel(
     attitude: NDArray[np.float64],
@@ -331,20 +361,9 @@ def travel(
     ahead = forward_axis(box)
     sideways = left_axis(box)
     upward = up_axis(box)
-    q = up(0.5 * up(bounds.quantum_left + bounds.quantum_right))
-    most = up(bounds.most_speed * time_high)
-    travelled = (-most, most)
-    path = most
-    if counted:
-        slip = up(
-            variation((left, left), bounds.quantum_left, bounds.most_track_acceleration, time_high)
-            + variation((right, right), bounds.quantum_right, bounds.most_track_acceleration, time_high)
-        )
-        d = scale(0.5, add(outward(left, left), outward(right, right)))
-        travelled = meet(widen(d, up(up(0.5 * bounds.slip) * slip)), (-up(most + q), up(most + q)))
-        if is_empty(travelled):
-            return False
-        path = min(variation(travelled, q, bounds.most_acceleration, time_high), most)
+    travelled, path, q, counted = tracked(left, right, counted, time_high, bounds)
+    if is_empty(travelled):
+        return False
     q_now = q if counted else 0.0
     for i in range(3):
         c = mid(ahead[i])

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from math import nan
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,11 +10,11 @@ from numpy.typing import NDArray
 from drivers.compiled import compiled
 from drivers.config import EncodersConfig
 from drivers.samples import WheelTicks
-from estimator.attitude import UNKNOWN_TILT, UNKNOWN_YAW, AttitudeChain
+from estimator.attitude import MAP_YAW, UNKNOWN_TILT, UNKNOWN_YAW, AttitudeChain
 from estimator.config import FilterConfig, RobotConfig
 from estimator.gps_window import GpsWindow
 from estimator.inconsistency import Contradictions
-from estimator.interval import meet, up, widen
+from estimator.interval import Interval, meet, up, widen
 from estimator.motion import QUANTUM, TrackBounds, travel_in_all_frames
 from estimator.tube import Tube
 
@@ -21,6 +22,29 @@ MAP, EARTH, LOCAL = slice(0, 3), slice(3, 6), slice(6, 9)
 """Rows of what a step is followed with: in the map, on Earth (east, north, up), and along its own heading."""
 ANYWHERE_M = 1e8
 UNKNOWN_ATTITUDE = np.array([[-UNKNOWN_TILT, UNKNOWN_TILT]] * 2 + [[-UNKNOWN_YAW, UNKNOWN_YAW]] * 2)
+
+
+class Step(NamedTuple):
+    """The way from one encoder reading to the next, as far as the sensors tell."""
+
+    before: int
+    """The gyro node surely not after the earlier reading (the later node, where the history is too short);"""
+    after: int
+    """... and the one surely not before the later."""
+    attitude: NDArray[np.float64]
+    """[4, 2] all of the time: roll, pitch, yaw in the map, yaw on Earth."""
+    local_yaw: Interval
+    """Yaw less the yaw at `before`."""
+    left: float
+    right: float
+    """Travel of the tracks in metres;"""
+    counted: bool
+    """... if the counter didn't restart."""
+    time_high: float
+    """Seconds, at most."""
+    turning: float
+    telescoped: float
+    """Variations of the yaw rate's integral, see motion.travel."""
 
 
 class PositionChain:
@@ -78,11 +102,33 @@ class PositionChain:
         self.last_ticks = ticks
         return True
 
-    def predict(self, ticks: WheelTicks) -> None:
+    def predict(self, ticks: WheelTicks) -> Step:
         """travel: one node further, at the true time of this encoder reading."""
-        last, places, turns = self.last_ticks, self.tube, self._attitude.tube
+        places, turns = self.tube, self._attitude.tube
+        step = self._step(ticks)
+        if not self._go(step):
+            self._contradictions.report("encoders", ticks.stamp.mid_ns)
+            step = step._replace(counted=False)
+            self._go(step)
+        self._fresh_count = not step.counted
+        self._turned_until = max(self._turned_until, int(turns.effort[step.after, 2]))
+        self.last_ticks = ticks
+        i = places.push(ticks.stamp.earliest_ns, ticks.stamp.latest_ns)
+        places.net[i], places.swing[i] = self._net[MAP], self._swing[:6]
+        places.local[i, :, :2], places.local[i, :, 2] = self._net[LOCAL], self._swing[LOCAL]
+        places.heading[i] = turns.heading[step.before]
+        surround(self._core, self._pending, places.box[i])
+        self.window.extend(
+            self._core[LOCAL], self._axis[LOCAL], turns.heading[step.before], self.quantum, self._attitude.bias[2],
+            int(turns.times[turns.newest, 1]) * 1e-9,
+        )  # fmt: skip
+        return step
+
+    def _step(self, ticks: WheelTicks) -> Step:
+        """What is known of the way since the last reading."""
+        last, turns = self.last_ticks, self._attitude.tube
         assert last is not None, "begin comes first"
-        began_ns = int(places.times[places.newest, 0])
+        began_ns = int(self.tube.times[self.tube.newest, 0])
         time_high = up((ticks.stamp.latest_ns - began_ns) * 1e-9)
         a, b = turns.before(began_ns), turns.after(ticks.stamp.latest_ns)
         until = max(self._turned_until, int(turns.effort[b, 2]))
@@ -97,39 +143,31 @@ class PositionChain:
         counted = ticks.epoch == last.epoch
         left = (ticks.left - last.left) * self._left_m if counted else nan
         right = (ticks.right - last.right) * self._right_m if counted else nan
+        return Step(a, b, attitude, local_yaw, left, right, counted, time_high, turning, telescoped)
 
-        def go(counted: bool) -> bool:
-            return travel_in_all_frames(
-                attitude, local_yaw, left, right, counted, time_high, turning, telescoped, self.tracks, self._axis,
-                self._fresh_count, self._core, self._net, self._swing, self._pending,
-            )  # fmt: skip
-
-        if not go(counted):
-            self._contradictions.report("encoders", ticks.stamp.mid_ns)
-            counted = go(False) and False
-        self._fresh_count = not counted
-        self._turned_until = until
-        self.last_ticks = ticks
-        i = places.push(ticks.stamp.earliest_ns, ticks.stamp.latest_ns)
-        places.net[i], places.swing[i] = self._net[MAP], self._swing[:6]
-        places.local[i, :, :2], places.local[i, :, 2], places.heading[i] = (
-            self._net[LOCAL],
-            self._swing[LOCAL],
-            turns.heading[a],
-        )
-        surround(self._core, self._pending, places.box[i])
-        self.window.extend(
-            self._core[LOCAL], self._axis[LOCAL], turns.heading[a], self.quantum, self._attitude.bias[2],
-            int(turns.times[turns.newest, 1]) * 1e-9,
+    def _go(self, step: Step) -> bool:
+        """Travel this step; False if the tracks ran faster than the robot can."""
+        return travel_in_all_frames(
+            step.attitude, step.local_yaw, step.left, step.right, step.counted, step.time_high, step.turning,
+            step.telescoped, self.tracks, self._axis, self._fresh_count, self._core, self._net, self._swing,
+            self._pending,
         )  # fmt: skip
 
-    def contract(self, narrowed: NDArray[np.float64]) -> None:
-        """The newest node's box is inside narrowed [6, 2]."""
-        n, turns = self.tube.newest, self._attitude.tube
-        self.tube.box[n] = narrowed
-        m = turns.before(int(self.tube.times[n, 0]))
+    def contract(self, narrowed: NDArray[np.float64], yaws: NDArray[np.float64]) -> bool:
+        """The newest place is in narrowed [6, 2], the newest yaws in [2, 2]; False, and all stays, if that can't be."""
+        self._core[:] = self._foreseen(narrowed)
+        self.tube.box[self.tube.newest] = narrowed
+        turns = self._attitude.tube
+        turns.box[turns.newest, MAP_YAW:] = yaws
+        return True
+
+    def _foreseen(self, narrowed: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The core [9, 2], once the newest place is inside narrowed [6, 2]."""
+        turns, core = self._attitude.tube, self._core.copy()
+        m = turns.before(int(self.tube.times[self.tube.newest, 0]))
         if m >= turns.begin:
-            foresee(narrowed, self._pending, self.turned_around(m), self._core)
+            foresee(narrowed, self._pending, self.turned_around(m), core)
+        return core
 
     def remember(self) -> None:
         """Keep the fix last given to the window, if the way since the one before is long enough."""

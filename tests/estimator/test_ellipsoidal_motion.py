@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from estimator import ellipsoid as el
 from estimator import ellipsoidal_motion as em
 from estimator.frames import forward_axis, left_axis, up_axis
+from estimator.motion import Tracked
 
 MS = 1e-3
 STEP, LAG = 20, 3
@@ -50,7 +51,7 @@ class Drive:
             self.place[t + 1] = self.place[t] + MS * moved[:2]
         tracked = np.concatenate([[0.0], np.cumsum(v / (1.0 + slip * signs[2])) * MS])
         counted = np.floor(tracked / quantum + rng.random()) * quantum
-        self.headings, self.travels = list[em.HeadingStep](), list[em.Travelled]()
+        self.headings, self.travels = list[em.HeadingStep](), list[tuple[Tracked, float, float]]()
         for k in range(steps):
             a, b, m, after = k * STEP, (k + 1) * STEP, k * STEP + LAG, (k + 1) * STEP + LAG
             seconds = STEP * MS
@@ -64,9 +65,8 @@ class Drive:
             path = np.sum(np.abs(v[a:b])) * MS
             spare = slip * np.sum(np.abs(v[a:b] / (1.0 + slip * signs[2]))) * MS + 1e-12
             sideways = lateral_slip * path + centre_m * np.sum(np.abs(w[a:after])) * MS
-            self.travels.append(
-                em.Travelled((distance - spare, distance + spare), path, sideways, normal * path, quantum)
-            )
+            way = Tracked((distance - spare, distance + spare), path, quantum, counted=True)
+            self.travels.append((way, sideways, normal * path))
         self.half = half
 
     def ellipsoid(self, rng: np.random.Generator) -> el.Ellipsoid:
@@ -108,7 +108,7 @@ def drive(code: ModuleType, rng: np.random.Generator, steps: int, flips: bool) -
     worst = 0.0
     for k in range(steps):
         roll, pitch = world.intervals()
-        code.travel_ellipsoid(e, world.headings[k], world.travels[k], roll, pitch, k == 0, kept)
+        code.travel_ellipsoid(e, world.headings[k], *world.travels[k], roll, pitch, k == 0, kept)
         worst = max(worst, nearest(e, world.at(k + 1), kept[8:]))
     return worst
 
@@ -124,7 +124,7 @@ def test_the_truth_never_leaves_whatever_the_rates_do_inside_a_step(steps: int, 
 
 
 BREAKS = {
-    "the remainder left out": ("rest[i] = reach(axes[i], k) * travelled.path", "rest[i] = 0.0 * travelled.path", 10),
+    "the remainder left out": ("rest[i] = reach(axes[i], k) * tracked.path", "rest[i] = 0.0 * tracked.path", 10),
     "yaw's effect on the place": ("matrix[i, YAW] = a * d", "matrix[i, YAW] = 0.0", 10),
     "its sign": ("matrix[i, YAW] = a * d", "matrix[i, YAW] = -a * d", 10),
     "slip left out": ("columns[i, 0] = k * unsure", "columns[i, 0] = 0.5 * k * unsure", 10),

@@ -55,6 +55,8 @@ GPS = GpsConfig(
     antenna_y_m=0.05,
     antenna_z_m=0.6,
 )
+BOX, ELLIPSOID = FilterConfig(set="box"), FilterConfig(set="ellipsoid")
+both = pytest.mark.parametrize("config", [BOX, ELLIPSOID], ids=["box", "ellipsoid"])
 MODES = ("corner", "constant", "uniform", "switching", "slow")
 SUBSTEP_NS = 500_000
 HOME = (47.4, 8.5, 450.0)
@@ -366,11 +368,12 @@ def on_earth_holds(pose: Filter, world: World, index: int, earth: BoundedPose) -
     return np.asarray(inside)
 
 
+@both
 @pytest.mark.parametrize("script", ["wander", "spin", "shake", "straight"])
 @pytest.mark.parametrize("mode", MODES)
-def test_the_true_pose_is_always_inside(script: str, mode: str) -> None:
+def test_the_true_pose_is_always_inside(script: str, mode: str, config: FilterConfig) -> None:
     """With every error inside its bound no coordinate leaves its interval, at no instant, and no fault is seen."""
-    outcome = follow(World(hash_seed(script, mode), mode=mode, script=script, seconds=6.0))
+    outcome = follow(World(hash_seed(script, mode), mode=mode, script=script, seconds=6.0), config)
     assert outcome.checked > 40_000
     assert outcome.violations == 0
     assert outcome.filter.guarantee.intact
@@ -395,12 +398,13 @@ EDGES: dict[str, dict[str, object]] = {
 }
 
 
+@both
 @pytest.mark.parametrize("edge", EDGES)
-def test_the_true_pose_is_inside_at_the_edges_too(edge: str) -> None:
+def test_the_true_pose_is_inside_at_the_edges_too(edge: str, config: FilterConfig) -> None:
     """Steep, shaken, half blind or badly connected: the set grows, and holds."""
     for seed in range(2):
         world = World(seed + hash_seed(edge), mode="mixed", seconds=5.0, **EDGES[edge])  # type: ignore[arg-type]
-        outcome = follow(world)
+        outcome = follow(world, config)
         assert outcome.checked > 20_000
         assert outcome.violations == 0
         assert outcome.filter.guarantee.intact
@@ -425,14 +429,15 @@ def test_a_broken_bound_shows(what: str, mode: str, script: str) -> None:
     assert shown >= 2
 
 
-def test_a_contradiction_names_its_sensor_and_shrinks_nothing() -> None:
+@both
+def test_a_contradiction_names_its_sensor_and_shrinks_nothing(config: FilterConfig) -> None:
     """One fix 5 m off voids the guarantee in the name of the GPS, is not used, and the pose still holds."""
     world = World(3, seconds=6.0)
     wrong = next(k for k, s in enumerate(world.samples) if isinstance(s, Fix) and s.stamp.mid_ns > 14_000_000_000)
     fix = world.samples[wrong]
     assert isinstance(fix, Fix)
     world.samples[wrong] = replace(fix, lat_deg=fix.lat_deg + 5.0 / 111_000.0)
-    outcome = follow(world)
+    outcome = follow(world, config)
     assert outcome.filter.guarantee.sensor == "gps"
     assert outcome.filter.guarantee.void_since_ns == fix.stamp.mid_ns
     assert outcome.filter.counts["contradiction_gps"] == 1
@@ -536,8 +541,9 @@ def test_samples_out_of_order_are_dropped_and_counted() -> None:
     assert outcome.filter.guarantee.intact
 
 
+@both
 @pytest.mark.parametrize("silence_ms", [30, 150, 900])
-def test_a_board_that_reboots_costs_width_and_nothing_else(silence_ms: int) -> None:
+def test_a_board_that_reboots_costs_width_and_nothing_else(silence_ms: int, config: FilterConfig) -> None:
     """Device times of another epoch are never subtracted; the silence is bridged by what the robot can do."""
     world = World(6, seconds=6.0, mode="mixed", script="wander")
     begin, end = 13_000_000_000, 13_000_000_000 + silence_ms * 1_000_000
@@ -549,13 +555,14 @@ def test_a_board_that_reboots_costs_width_and_nothing_else(silence_ms: int) -> N
         else:
             kept.append(sample)
     world.samples = kept
-    outcome = follow(world, modulo_turns=silence_ms > 500)
+    outcome = follow(world, config, modulo_turns=silence_ms > 500)
     assert outcome.violations == 0
     assert outcome.filter.guarantee.intact
     assert np.isfinite(outcome.width).all()
 
 
-def test_a_counter_that_restarts_costs_width_and_nothing_else() -> None:
+@both
+def test_a_counter_that_restarts_costs_width_and_nothing_else(config: FilterConfig) -> None:
     """Counts of another epoch are never subtracted."""
     world = World(7, seconds=5.0, mode="mixed")
     world.samples = [
@@ -564,7 +571,7 @@ def test_a_counter_that_restarts_costs_width_and_nothing_else() -> None:
         else s
         for s in world.samples
     ]
-    outcome = follow(world)
+    outcome = follow(world, config)
     assert outcome.violations == 0
     assert outcome.filter.guarantee.intact
 
@@ -579,8 +586,9 @@ def test_a_robot_that_stands_learns_its_gyro_bias() -> None:
     assert standing.width[5] < 0.6 * never.width[5]
 
 
+@both
 @pytest.mark.parametrize("sensor", ["gyro", "tilt", "encoders", "imu_clock"])
-def test_a_reading_that_cannot_be_true_is_named_and_not_used(sensor: str) -> None:
+def test_a_reading_that_cannot_be_true_is_named_and_not_used(sensor: str, config: FilterConfig) -> None:
     """One impossible packet: the guarantee is void in its sensor's name, and the pose holds as if it had been lost."""
 
     def spoil(sample: WheelTicks | InertialSample | Fix) -> WheelTicks | InertialSample | Fix:
@@ -605,7 +613,7 @@ def test_a_reading_that_cannot_be_true_is_named_and_not_used(sensor: str) -> Non
         and (not isinstance(s, InertialSample) or (s.message == kinds[sensor] and s.sensor_id == 0))
     )
     world.samples[wrong] = spoil(world.samples[wrong])
-    outcome = follow(world)
+    outcome = follow(world, config)
     assert outcome.filter.guarantee.sensor == sensor
     assert outcome.filter.guarantee.void_since_ns == world.samples[wrong].stamp.mid_ns
     if sensor != "imu_clock":  # a clock that jumped ahead stays wrong: all that comes after looks late

@@ -1,0 +1,245 @@
+"""The paper's set: an ellipsoid over (x, y, yaw, gyro bias) in the place of boxes (extended set-membership filter).
+
+The same chains, stamps and contractors as with boxes; only x, y and yaw come from an ellipsoid, one in the map and one
+on Earth: its linear step keeps how they hang together, and so a fix also says something of yaw and bias. In return a
+step's remainder is that of a linearisation. There is no window of fixes.
+
+While yaw isn't known to within a radian no linear map says where the robot goes. Then (before the first fixes, on
+Earth; after the attitude was lost) there is no ellipsoid, and the boxes go on, which hold at any yaw; it begins anew
+from them. So the set stays finite whatever happens: it never grows by more than the way that the robot can have come.
+"""
+
+from collections import Counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.compiled import compiled
+from drivers.config import EncodersConfig
+from drivers.samples import WheelTicks
+from estimator.attitude import EARTH_YAW, MAP_YAW, AttitudeChain
+from estimator.config import FilterConfig, RobotConfig
+from estimator.ellipsoid import EMPTY, Ellipsoid, box, extent, half_width, meet_axis
+from estimator.ellipsoidal_motion import BIAS, UNITS, YAW, HeadingStep, X, Y, memory, travel_ellipsoid
+from estimator.gps_window import GpsWindow
+from estimator.inconsistency import Contradictions
+from estimator.interval import ULP, Interval, add, meet, mid, reach, sub, up, widen
+from estimator.motion import TrackBounds, Tracked, relative_yaw, relative_yaw_between, tracked
+from estimator.position import ANYWHERE_M, EARTH, MAP, PositionChain, Step, surround
+
+WIDEST_YAW = 1.0
+"""rad: beyond this half-width there is no ellipsoid."""
+
+
+class NewestFixOnly(GpsWindow):
+    """A window that remembers nothing."""
+
+    def remember(self, bias: NDArray[np.float64], slack: float, quantum: float) -> None:
+        """Not even this one."""
+
+
+class PlanarSet:
+    """The ellipsoid of one frame: x and y among the places from row `place` on, yaw in row `yaw` of the turns."""
+
+    def __init__(self, place: int, yaw: int) -> None:
+        self.place, self.yaw = place, yaw
+        self.set: Ellipsoid | None = None
+        self.kept = memory()
+        self.first = True
+
+    def begin(self, x: Interval, y: Interval, yaw: Interval, bias: Interval) -> None:
+        """Anew, around a box; none if that is too wide."""
+        axes = (x, y, yaw, bias)
+        middle = np.array([mid(axis) for axis in axes])
+        half = np.array([reach(axis, c) for axis, c in zip(axes, middle, strict=True)])
+        self.set, self.first = None, True
+        if half[YAW] < WIDEST_YAW and max(half[X], half[Y]) < ANYWHERE_M:
+            self.set = box(middle, half, UNITS)
+            self.kept = memory()
+
+
+class EllipsoidalPosition(PositionChain):
+    """As PositionChain, with x, y and yaw from ellipsoids."""
+
+    def __init__(
+        self,
+        robot: RobotConfig,
+        config: FilterConfig,
+        encoders: EncodersConfig,
+        attitude: AttitudeChain,
+        counts: Counter[str],
+        contradictions: Contradictions,
+    ) -> None:
+        super().__init__(robot, config, encoders, attitude, counts, contradictions)
+        self.window = NewestFixOnly(attitude.gyro.bias_drift)
+        self.sets = (PlanarSet(MAP.start, MAP_YAW), PlanarSet(EARTH.start, EARTH_YAW))
+
+    def begin(self, ticks: WheelTicks) -> bool:
+        """Here x = y = z = yaw = 0; False if the attitude chain doesn't reach back so far."""
+        begun = super().begin(ticks)
+        if begun:
+            self._begin_sets(self._gyro_node())
+        return begun
+
+    def predict(self, ticks: WheelTicks) -> Step:
+        """travel, with boxes and with ellipsoids: one node further, at the true time of this encoder reading."""
+        start, first, undone = self._gyro_node(), self._fresh_count, self._pending.copy()
+        step = super().predict(ticks)
+        turns, attitude = self._attitude.tube, self._attitude
+        after, before = self._gyro_node(), min(step.before, start)
+        seconds = up((int(turns.times[after, 1]) - int(turns.times[start, 0])) * 1e-9)
+        aged, bias = up(attitude.gyro.bias_drift * seconds), attitude.bias_since(before)
+        turned_known = turns.heading[after, 2] - turns.heading[before, 2] < WIDEST_YAW
+        way = tracked(step.left, step.right, step.counted, step.time_high, self.tracks)
+        for one in self.sets:
+            if one.set is None:
+                continue
+            if not turned_known:
+                self._let_go(one, undone + self._pending)
+                continue
+            if not advance(
+                one.set, one.kept, turns.heading, turns.swing, before, start, after, bias, aged, step.attitude,
+                way, step.telescoped, self.tracks, first or one.first,
+            ):  # fmt: skip
+                self._contradictions.report("gyro", ticks.stamp.mid_ns)
+            one.first = False
+        self._show(after)
+        self._begin_sets(after)
+        return step
+
+    def contract(self, narrowed: NDArray[np.float64], yaws: NDArray[np.float64]) -> bool:
+        """The newest place is in narrowed [6, 2], the newest yaws in [2, 2]; False, and all stays, if that can't be."""
+        turns, after = self._attitude.tube, self._gyro_node()
+        bias = self._attitude.bias_since(after)
+        core = self._foreseen(narrowed)
+        ahead = relative_yaw(turns.heading[turns.newest], turns.heading[after], bias)
+        before = [None if one.set is None else (one.set.centre.copy(), one.set.shape.copy()) for one in self.sets]
+        for one in self.sets:
+            if one.set is not None and not correct(one.set, core[one.place :], sub(yaws[one.yaw - MAP_YAW], ahead)):
+                for each, kept in zip(self.sets, before, strict=True):
+                    if each.set is not None and kept is not None:
+                        each.set.centre[:], each.set.shape[:] = kept
+                return False
+        super().contract(narrowed, yaws)
+        self._begin_sets(after)
+        self._show(after)
+        here = self.tube.box[self.tube.newest]
+        here[:, 0], here[:, 1] = np.maximum(here[:, 0], narrowed[:, 0]), np.minimum(here[:, 1], narrowed[:, 1])
+        return True
+
+    def _gyro_node(self) -> int:
+        """Index of the node at which the ellipsoids' yaw stands: the first one after the newest reading."""
+        turns = self._attitude.tube
+        efforts = turns.effort[turns.begin : turns.end, 2]  # each larger than the one before
+        return min(turns.begin + int(np.searchsorted(efforts, self._turned_until)), turns.newest)
+
+    def _begin_sets(self, node: int) -> None:
+        """Ellipsoids around the boxes, where there are none and yaw is known; the count's error begins anew."""
+        turns, here = self._attitude.tube, self.tube.newest
+        around = turns.before(int(self.tube.times[here, 0]))
+        if around < turns.begin:
+            return
+        slack, bias = self.turned_around(around), self._attitude.bias_since(node)
+        ahead = relative_yaw(turns.heading[turns.newest], turns.heading[node], bias)
+        for one in self.sets:
+            if one.set is None:
+                x, y = self.tube.box[here, one.place], self.tube.box[here, one.place + 1]
+                yaw, newest = turns.box[node, one.yaw], turns.box[turns.newest, one.yaw]
+                one.begin(
+                    widen((x[0], x[1]), slack),
+                    widen((y[0], y[1]), slack),
+                    meet((yaw[0], yaw[1]), sub((newest[0], newest[1]), ahead)),
+                    bias,
+                )
+
+    def _show(self, node: int) -> None:
+        """The ellipsoids' boxes are the chains'. One whose yaw got too wide is let go."""
+        turns, here, bias = self._attitude.tube, self.tube.newest, self._attitude.bias_since(node)
+        for one in self.sets:
+            if one.set is None:
+                continue
+            rows = slice(one.place, one.place + 2)
+            show(
+                one.set, one.kept, self._core[rows], self._pending[rows], turns.box[:, one.yaw], turns.heading, node,
+                turns.newest, bias,
+            )  # fmt: skip
+            surround(self._core[rows], self._pending[rows], self.tube.box[here, rows])
+            if half_width(one.set, YAW) > WIDEST_YAW:
+                self._counts["ellipsoid_let_go"] += 1
+                self._let_go(one, self._pending.copy())
+
+    def _let_go(self, one: PlanarSet, undone: NDArray[np.float64]) -> None:
+        """The boxes go on from here, the count's error anew. The newest place is within `undone` of the core."""
+        one.set = None
+        for row in (one.place, one.place + 1):
+            self._pending[row] = up(self.quantum * abs(self._axis[row]))
+            core = self._core[row]
+            self._core[row] = widen((core[0], core[1]), up(up(undone[row]) + self._pending[row]))
+            self.tube.box[self.tube.newest, row] = self._core[row]
+
+
+@compiled
+def advance(
+    e: Ellipsoid,
+    kept: NDArray[np.float64],
+    headings: NDArray[np.float64],
+    swing: NDArray[np.float64],
+    before: int,
+    start: int,
+    after: int,
+    bias: Interval,
+    aged: float,
+    attitude: NDArray[np.float64],
+    way: Tracked,
+    turning: float,
+    bounds: TrackBounds,
+    first: bool,
+) -> bool:
+    """E a step further; its yaw from gyro node `start` to `after`. False if its bias contradicts [bias]."""
+    slope = headings[after, 1] - headings[start, 1]
+    change = headings[after, 0] - headings[start, 0]
+    error = up(abs(headings[after, 2] - headings[start, 2]))
+    error = up(error + up(ULP * (abs(change) + abs(slope) * max(abs(bias[0]), abs(bias[1])))))
+    inside = relative_yaw_between(headings, swing, before, after, headings[start], bias)
+    travel_ellipsoid(
+        e,
+        HeadingStep(change, slope, error, inside, bias, aged),
+        way,
+        up(up(bounds.lateral * way.path) + up(bounds.turning_centre * turning)),
+        up(bounds.normal * way.path),
+        (attitude[0, 0], attitude[0, 1]),
+        (attitude[1, 0], attitude[1, 1]),
+        first,
+        kept,
+    )
+    return meet_axis(e, BIAS, bias[0], bias[1]) != EMPTY
+
+
+@compiled
+def correct(e: Ellipsoid, place: NDArray[np.float64], yaw: Interval) -> bool:
+    """E ∩ {x in [place 0]} ∩ {y in [place 1]} ∩ {yaw in [yaw]}, outer, strip by strip; False if that is empty."""
+    for i in range(2):
+        if meet_axis(e, i, place[i, 0], place[i, 1]) == EMPTY:
+            return False
+    return meet_axis(e, YAW, yaw[0], yaw[1]) != EMPTY
+
+
+@compiled
+def show(
+    e: Ellipsoid,
+    kept: NDArray[np.float64],
+    core: NDArray[np.float64],
+    pending: NDArray[np.float64],
+    yaws: NDArray[np.float64],
+    headings: NDArray[np.float64],
+    node: int,
+    newest: int,
+    bias: Interval,
+) -> None:
+    """E's outer box: core [2, 2] and pending [2] as in motion.travel, yaws [n, 2] from `node` on, while tied to it."""
+    for i in range(2):
+        core[i, 0], core[i, 1] = extent(e, i)
+        pending[i] = kept[8 + i]
+    for k in range(node, newest + 1):
+        if headings[k, 2] - headings[node, 2] < WIDEST_YAW:
+            yaws[k, 0], yaws[k, 1] = add(extent(e, YAW), relative_yaw(headings[k], headings[node], bias))
