@@ -30,6 +30,8 @@ def _rising(value: tuple[float, float]) -> tuple[float, float]:
 
 
 Resolution = Annotated[float, AfterValidator(_resolution)]
+TemperatureRange = Annotated[tuple[float, float], AfterValidator(_rising)]
+"""[least, most]"""
 LatencyMs = Annotated[tuple[NotNegative, NotNegative], AfterValidator(_rising)]
 """[least, most] from acquisition to the read; `most` counts READ_ALLOWANCE_NS, what is later than that is measured."""
 READ_ALLOWANCE_NS = 6_000_000
@@ -143,6 +145,10 @@ class ImuConfig:
     """Total error of roll and of pitch, lag and motion included."""
     accel_bound_mps2: Positive
     """Total error of one accelerometer axis (the robot's own acceleration is declared under [robot])."""
+    temperature_range_degc: TemperatureRange | None = None
+    """Where these bounds hold; a packet that tells a sensor's temperature outside of it is not used."""
+    always_noisy: bool = False
+    """Do readings of a sensor that lives always differ a little? Then one that repeats the last is not used."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

@@ -14,7 +14,7 @@ from drivers.samples import InertialSample, Stamp
 from estimator.inconsistency import Contradictions
 from estimator.interval import down, up
 
-CLOCK_STEP_US = {"HIGHRES_IMU": 1, "RAW_IMU": 1}
+CLOCK_STEP_US = {"HIGHRES_IMU": 1, "RAW_IMU": 1, "DUAL_AXIS_ACCELERATION": 1, "DUAL_AXIS_TILT": 1}
 """Resolution of a message's device time; the others count milliseconds."""
 MILLISECOND_US = 1000
 LEARNING_PACKETS = 8

@@ -103,7 +103,7 @@ class ImuFile:
 
     def __init__(self) -> None:
         # Only a board whose clock goes back has restarted: there is no host's clock beside it.
-        self._protocol = ImuProtocol(imu_config(latency_ms=(0.0, 1e12)))
+        self._protocol = ImuProtocol(imu_config(latency_ms=(0.0, 1e13)))
         self.counts = self._protocol.counts
 
     def receive_data(self, data: bytes) -> list[Timed]:
@@ -111,8 +111,8 @@ class ImuFile:
         return [(1000 * (sample.device_time_us or 0), sample) for sample in self._protocol.receive_data(data, 0)]
 
     def finish(self) -> list[Timed]:
-        """Nothing: a packet tells its length."""
-        return []
+        """What stands behind a beginning that never ended."""
+        return [(1000 * (sample.device_time_us or 0), sample) for sample in self._protocol.finish()]
 
 
 class GpsFile:

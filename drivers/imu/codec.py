@@ -7,21 +7,22 @@
 The checksum is X.25 over everything between the magic byte and itself, then over one more byte that the message's
 definition gives. pymavlink's own parser loses intact frames behind a stray magic byte, so the frames are searched here:
 what can't be a header is refused at once, and where a checksum fails the search goes on one byte further. The message
-definitions are pymavlink's.
+definitions are pymavlink's and those of dialect.py. A payload may be longer than its definition here: then the sender
+knows more fields. A signature is passed over: without a key there is nothing to hold it against.
 """
 
 import re
 import struct
 from binascii import crc_hqx
 from collections import Counter
-from dataclasses import dataclass
 from itertools import repeat
-from typing import Any
+from typing import Any, NamedTuple
 
 from pymavlink.dialects.v10 import ardupilotmega as _v1_messages
 from pymavlink.dialects.v20 import ardupilotmega as _messages
 
 from drivers.framing import StampedBuffer
+from drivers.imu.dialect import DEFINITIONS
 
 _MAGIC_V1, _MAGIC_V2 = 0xFE, 0xFD
 _MAGIC = re.compile(rb"[\xfd\xfe]")
@@ -29,7 +30,7 @@ _SIGNED = 0x01
 _SIGNATURE_BYTES = 13
 _CRC = struct.Struct("<H")
 
-_DEFINITION: dict[int, Any] = dict(_messages.mavlink_map)
+_DEFINITION: dict[int, Any] = dict(_messages.mavlink_map) | {own.id: own for own in DEFINITIONS}
 _V1_BYTES: dict[int, int] = {number: m.unpacker.size for number, m in _v1_messages.mavlink_map.items()}
 """Version 1 knows no extension fields and cuts nothing off: the length is exact."""
 _V1_LENGTHS = frozenset(_V1_BYTES.values())
@@ -48,8 +49,7 @@ def x25(data: bytes) -> int:
     return _REFLECTED[crc & 0xFF] << 8 | _REFLECTED[crc >> 8]
 
 
-@dataclass(frozen=True, slots=True)
-class MavlinkFrame:
+class MavlinkFrame(NamedTuple):
     """One intact frame."""
 
     message: str
@@ -62,7 +62,7 @@ class MavlinkFrame:
     def fields(self) -> dict[str, Any]:
         """The payload's fields by name, in the units of the message's definition; for messages without arrays."""
         unpacker, names = _BY_NAME[self.message].unpacker, _BY_NAME[self.message].ordered_fieldnames
-        values = unpacker.unpack(self.payload.ljust(unpacker.size, b"\0"))
+        values = unpacker.unpack_from(self.payload.ljust(unpacker.size, b"\0"))
         return dict(zip(names, values, strict=True))
 
 
@@ -82,7 +82,7 @@ def serialise(frame: MavlinkFrame) -> bytes:
 
 
 def build(
-    message: str, *, sequence: int = 0, system: int = 1, component: int = 1, version: int = 2, **fields: float
+    message: str, *, sequence: int = 0, system: int = 1, component: int = 1, version: int = 2, **fields: Any
 ) -> MavlinkFrame:
     """A frame from its fields; those not named are zero."""
     definition = _BY_NAME[message]
@@ -109,8 +109,15 @@ class MavlinkStream:
 
     def receive(self, data: bytes, stamp_ns: int) -> list[tuple[MavlinkFrame, int]]:
         """Take what one read gave; each frame with the time of the read that held its first byte."""
-        frames: list[tuple[MavlinkFrame, int]] = []
         self._buffer.append(data, stamp_ns)
+        return self._take(ended=False)
+
+    def finish(self) -> list[tuple[MavlinkFrame, int]]:
+        """No more bytes will come: the frames behind a beginning that still waited for its end."""
+        return self._take(ended=True)
+
+    def _take(self, ended: bool) -> list[tuple[MavlinkFrame, int]]:
+        frames: list[tuple[MavlinkFrame, int]] = []
         buffer = self._buffer.data
         position = 0
         while (magic := _MAGIC.search(buffer, position)) is not None:
@@ -119,7 +126,9 @@ class MavlinkStream:
             position = start
             size = _frame_bytes(buffer, start)
             if size is None or start + size > len(buffer):
-                break
+                if not ended:
+                    break
+                size = 0
             frame = _checked(buffer[start : start + size]) if size else None
             if frame is None:
                 self._counts["bad_crc"] += size > 0
@@ -155,8 +164,7 @@ def _frame_bytes(buffer: bytes, start: int) -> int | None:
         return 0
     if rest < 10:
         return None
-    definition = _DEFINITION.get(int.from_bytes(buffer[start + 7 : start + 10], "little"))
-    if definition is None or length > definition.unpacker.size:
+    if int.from_bytes(buffer[start + 7 : start + 10], "little") not in _DEFINITION:
         return 0
     return 12 + length + (_SIGNATURE_BYTES if flags & _SIGNED else 0)
 

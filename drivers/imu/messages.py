@@ -5,23 +5,24 @@ MAVLink's body frame is x ahead, y right, z down; ours is x ahead, y left, z up.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from math import isnan, nan
-from typing import Any
+from typing import Any, NamedTuple
 
 from drivers.imu.codec import MavlinkFrame, build
+from drivers.imu.dialect import UNKNOWN_TEMPERATURE_CDEGC
 from drivers.samples import ABSENT3, Vector3
 
 _MILLI_G_MPS2 = 9.80665e-3
 _MILLI = 1e-3
 _XACC, _XGYRO = 1 << 0, 1 << 3
 """Bits of HIGHRES_IMU.fields_updated; y and z follow."""
+_TEMPERATURE = 1 << 12
+_CENTI = 1e-2
 _BITS = tuple(first << axis for first in (_XACC, _XGYRO) for axis in range(3))
 _ACCEL_AXES, _GYRO_AXES = ("xacc", "yacc", "zacc"), ("xgyro", "ygyro", "zgyro")
 
 
-@dataclass(frozen=True, slots=True)
-class Reading:
+class Reading(NamedTuple):
     """One message's readings in base_link; absent axes are NaN."""
 
     sensor_id: int
@@ -31,6 +32,14 @@ class Reading:
     tilt_rad: tuple[float, float] = (nan, nan)
     present: tuple[float, ...] = ()
     """The values that the message claims to hold; none of them may be NaN."""
+    resolution_us: int = 1
+    """Step of the device time."""
+    wraps: bool = False
+    """Does the device time count 32 bits of milliseconds?"""
+    temperature_degc: float = nan
+    """Of the sensor; NaN where the message doesn't tell."""
+    told_bound: float = 0.0
+    """Half-width that the board vouches for, m/s^2 or rad; 0 where it doesn't."""
 
 
 def turned(vector: Vector3) -> Vector3:
@@ -44,7 +53,10 @@ def _highres(fields: dict[str, Any]) -> Reading:
     accel, accel_present = _updated(fields, _ACCEL_AXES, updated // _XACC & 0b111)
     gyro, gyro_present = _updated(fields, _GYRO_AXES, updated // _XGYRO & 0b111)
     present = accel_present + gyro_present
-    return Reading(fields["id"], fields["time_usec"], turned(accel), turned(gyro), present=present)
+    temperature = fields["temperature"] if updated & _TEMPERATURE else nan
+    return Reading(
+        fields["id"], fields["time_usec"], turned(accel), turned(gyro), present=present, temperature_degc=temperature
+    )
 
 
 def _updated(fields: dict[str, Any], names: tuple[str, str, str], updated: int) -> tuple[Vector3, tuple[float, ...]]:
@@ -58,26 +70,81 @@ def _updated(fields: dict[str, Any], names: tuple[str, str, str], updated: int) 
     return (x if updated & 1 else nan, y if updated & 2 else nan, z if updated & 4 else nan), present
 
 
-def _scaled(sensor_id: int, time_us: int, fields: dict[str, Any]) -> Reading:
-    """Integers: milli-g and milliradians per second."""
+def _raw(fields: dict[str, Any]) -> Reading:
+    return _scaled(fields["id"], fields["time_usec"], fields)
+
+
+def _boot_ms(sensor_id: int) -> Callable[[dict[str, Any]], Reading]:
+    """SCALED_IMU and its likes."""
+
+    def read(fields: dict[str, Any]) -> Reading:
+        return _scaled(sensor_id, fields["time_boot_ms"] * 1000, fields, resolution_us=1000, wraps=True)
+
+    return read
+
+
+def _scaled(
+    sensor_id: int, time_us: int, fields: dict[str, Any], resolution_us: int = 1, wraps: bool = False
+) -> Reading:
+    """Integers: milli-g and milliradians per second; a temperature of 0 is none."""
     accel = (fields["xacc"] * _MILLI_G_MPS2, fields["yacc"] * _MILLI_G_MPS2, fields["zacc"] * _MILLI_G_MPS2)
     gyro = (fields["xgyro"] * _MILLI, fields["ygyro"] * _MILLI, fields["zgyro"] * _MILLI)
-    return Reading(sensor_id, time_us, turned(accel), turned(gyro), present=accel + gyro)
+    return Reading(
+        sensor_id,
+        time_us,
+        turned(accel),
+        turned(gyro),
+        present=accel + gyro,
+        resolution_us=resolution_us,
+        wraps=wraps,
+        temperature_degc=fields["temperature"] * _CENTI or nan,
+    )
 
 
 def _attitude(fields: dict[str, Any]) -> Reading:
     """Only roll and pitch: the yaw may be NaN, and the rates are the board's filter's, not means between packets."""
+    roll, pitch, time_us = fields["roll"], fields["pitch"], fields["time_boot_ms"] * 1000
+    return Reading(0, time_us, tilt_rad=(roll, -pitch), present=(roll, pitch), resolution_us=1000, wraps=True)
+
+
+def _dual_acceleration(fields: dict[str, Any]) -> Reading:
+    x, y = fields["xacc"], fields["yacc"]
+    return Reading(
+        fields["id"],
+        fields["time_usec"],
+        accel_mps2=(x, -y, nan),
+        present=(x, y),
+        temperature_degc=_own_temperature(fields),
+        told_bound=fields["bound"],
+    )
+
+
+def _dual_tilt(fields: dict[str, Any]) -> Reading:
     roll, pitch = fields["roll"], fields["pitch"]
-    return Reading(0, fields["time_boot_ms"] * 1000, tilt_rad=(roll, -pitch), present=(roll, pitch))
+    return Reading(
+        fields["id"],
+        fields["time_usec"],
+        tilt_rad=(roll, -pitch),
+        present=(roll, pitch),
+        temperature_degc=_own_temperature(fields),
+        told_bound=fields["bound"],
+    )
+
+
+def _own_temperature(fields: dict[str, Any]) -> float:
+    told = fields["temperature"]
+    return nan if told == UNKNOWN_TEMPERATURE_CDEGC else told * _CENTI
 
 
 READINGS: dict[str, Callable[[dict[str, Any]], Reading]] = {
     "HIGHRES_IMU": _highres,
-    "SCALED_IMU": lambda fields: _scaled(0, fields["time_boot_ms"] * 1000, fields),
-    "SCALED_IMU2": lambda fields: _scaled(1, fields["time_boot_ms"] * 1000, fields),
-    "SCALED_IMU3": lambda fields: _scaled(2, fields["time_boot_ms"] * 1000, fields),
-    "RAW_IMU": lambda fields: _scaled(fields["id"], fields["time_usec"], fields),
+    "SCALED_IMU": _boot_ms(0),
+    "SCALED_IMU2": _boot_ms(1),
+    "SCALED_IMU3": _boot_ms(2),
+    "RAW_IMU": _raw,
     "ATTITUDE": _attitude,
+    "DUAL_AXIS_ACCELERATION": _dual_acceleration,
+    "DUAL_AXIS_TILT": _dual_tilt,
 }
 """The messages that are read; all others are only counted."""
 
@@ -97,3 +164,31 @@ def highres_imu(
 def attitude(sequence: int, time_ms: int, roll_rad: float, pitch_rad: float) -> MavlinkFrame:
     """ATTITUDE of a tilt sensor: our roll and pitch, no yaw."""
     return build("ATTITUDE", sequence=sequence, time_boot_ms=time_ms, roll=roll_rad, pitch=-pitch_rad, yaw=nan)
+
+
+def dual_axis_acceleration(
+    sequence: int,
+    time_us: int,
+    sensor_id: int,
+    accel_mps2: tuple[float, float],
+    bound_mps2: float = 0.0,
+    temperature_cdegc: int = UNKNOWN_TEMPERATURE_CDEGC,
+) -> MavlinkFrame:
+    """DUAL_AXIS_ACCELERATION of base_link readings ahead and left."""
+    ahead, left = accel_mps2
+    axes: dict[str, Any] = {"xacc": ahead, "yacc": -left, "bound": bound_mps2, "temperature": temperature_cdegc}
+    return build("DUAL_AXIS_ACCELERATION", sequence=sequence, time_usec=time_us, id=sensor_id, **axes)
+
+
+def dual_axis_tilt(
+    sequence: int,
+    time_us: int,
+    sensor_id: int,
+    tilt_rad: tuple[float, float],
+    bound_rad: float = 0.0,
+    temperature_cdegc: int = UNKNOWN_TEMPERATURE_CDEGC,
+) -> MavlinkFrame:
+    """DUAL_AXIS_TILT of our roll and pitch."""
+    roll, pitch = tilt_rad
+    axes: dict[str, Any] = {"roll": roll, "pitch": -pitch, "bound": bound_rad, "temperature": temperature_cdegc}
+    return build("DUAL_AXIS_TILT", sequence=sequence, time_usec=time_us, id=sensor_id, **axes)

@@ -1,15 +1,20 @@
-"""The emulated inertial board: gyroscope, two dual-axis accelerometers and tilt sensor, in MAVLink 2 packets."""
+"""The emulated inertial board: gyroscope, two dual-axis accelerometers and tilt sensor, in MAVLink 2 packets.
+
+Like those of real sensors its readings are never quite still: the last bit of each jitters, far inside the margin that
+the simulated world leaves for rounding to float32.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import nan
 
 from drivers.imu.codec import MavlinkFrame, serialise
-from drivers.imu.messages import attitude, highres_imu
+from drivers.imu.messages import attitude, dual_axis_acceleration, dual_axis_tilt, highres_imu
 from drivers.samples import Vector3
 
 GYRO_ID = 0
 ACCEL_IDS = (1, 2)
+_JITTER_GYRO_RPS, _JITTER_ACCEL_MPS2, _JITTER_TILT_RAD = 2.0**-25, 2.0**-20, 2.0**-26
 
 
 @dataclass(slots=True)
@@ -38,6 +43,7 @@ class ImuEmulator:
         clock_ppm: float = 0.0,
         boot_ns: int | None = None,
         baud: int = 115200,
+        own_messages: bool = False,
     ) -> None:
         """The world, in base_link: `gyro(t0_ns, t1_ns)` mean body rate in rad/s, `accel(t_ns, sensor_id)` specific
         force (x, y) in m/s^2, `tilt(t_ns)` roll and pitch in rad.
@@ -45,7 +51,8 @@ class ImuEmulator:
         Accelerometers and tilt are first acquired at `start_ns`, the gyroscope's first mean ends one period later.
         A packet is on the wire `latency_ns` after its acquisition. The board's clock starts at `boot_ns`
         (`start_ns` if not given) and runs `clock_ppm` fast. At 200 Hz and 100 Hz the packets need 34 kB/s: a board on
-        USB, or a line of at least 460800 baud; the transfer itself takes no time here.
+        USB, or a line of at least 460800 baud; the transfer itself takes no time here. `own_messages`: accelerometers
+        and tilt sensor in the messages of drivers/imu/terrabound.xml instead of HIGHRES_IMU and ATTITUDE.
         """
         self._gyro, self._accel, self._tilt = gyro, accel, tilt
         self._gyro_period_ns = gyro_period_ns
@@ -54,7 +61,12 @@ class ImuEmulator:
         self._rate = 1.0 + clock_ppm * 1e-6
         self._boot_ns = start_ns if boot_ns is None else boot_ns
         self._baud = baud
+        self._own_messages = own_messages
         self._sequence = 0
+        self.stuck = False
+        """Do all sensors repeat their last readings?"""
+        self._last: dict[str, tuple[float, ...]] = {}
+        self._jitter: dict[str, float] = {}
         self._streams = [
             _Stream(start_ns + gyro_period_ns, gyro_period_ns, self._gyro_packet),
             _Stream(start_ns, accel_period_ns, lambda t_ns: self._accel_packet(t_ns, ACCEL_IDS[0])),
@@ -88,13 +100,25 @@ class ImuEmulator:
         return max(0, round((t_ns - self._boot_ns) * self._rate) // 1000)
 
     def _gyro_packet(self, t_ns: int) -> MavlinkFrame:
-        rates = self._gyro(t_ns - self._gyro_period_ns, t_ns)
-        return highres_imu(self._sequence, self._device_us(t_ns), GYRO_ID, gyro_rps=rates)
+        x, y, z = self._felt("gyro", _JITTER_GYRO_RPS, lambda: self._gyro(t_ns - self._gyro_period_ns, t_ns))
+        return highres_imu(self._sequence, self._device_us(t_ns), GYRO_ID, gyro_rps=(x, y, z))
 
     def _accel_packet(self, t_ns: int, sensor_id: int) -> MavlinkFrame:
-        x, y = self._accel(t_ns, sensor_id)
+        x, y = self._felt(f"accel {sensor_id}", _JITTER_ACCEL_MPS2, lambda: self._accel(t_ns, sensor_id))
+        if self._own_messages:
+            return dual_axis_acceleration(self._sequence, self._device_us(t_ns), sensor_id, (x, y))
         return highres_imu(self._sequence, self._device_us(t_ns), sensor_id, accel_mps2=(x, y, nan))
 
     def _tilt_packet(self, t_ns: int) -> MavlinkFrame:
-        roll, pitch = self._tilt(t_ns)
+        roll, pitch = self._felt("tilt", _JITTER_TILT_RAD, lambda: self._tilt(t_ns))
+        if self._own_messages:
+            return dual_axis_tilt(self._sequence, self._device_us(t_ns), 0, (roll, pitch))
         return attitude(self._sequence, self._device_us(t_ns) // 1000, roll, pitch)
+
+    def _felt(self, sensor: str, jitter: float, measure: Callable[[], tuple[float, ...]]) -> tuple[float, ...]:
+        """What a sensor says of what it should."""
+        if self.stuck and sensor in self._last:
+            return self._last[sensor]
+        moved = self._jitter[sensor] = -self._jitter.get(sensor, jitter)
+        self._last[sensor] = felt = tuple(value + moved for value in measure())
+        return felt
