@@ -40,6 +40,7 @@ lint: $(READY)
 	$(BIN)/lint-imports
 
 prove: $(READY)
+	$(BIN)/python -m bench.prove_parsers
 	$(BIN)/python -m bench.prove
 
 bench: $(READY)

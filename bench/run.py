@@ -1,28 +1,50 @@
-"""`make bench`: measure, print, and rewrite bench/RESULTS.md with the machine and the date."""
+"""`make bench`: measure, print, and rewrite bench/RESULTS.md with the machine and the date.
 
+`python -m bench.run NAME...` measures those sections alone and keeps the others as they stand on the page.
+"""
+
+import os
+import re
 import subprocess
 import sys
+from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 
+from bench import laser, line_faults
 from bench.line import LineResult, measure_line
 from bench.machine import heading
 
 RESULTS = Path(__file__).with_name("RESULTS.md")
 
 
-def main() -> None:
-    """All measurements, each in a table."""
-    first = heading("Measurements", "make bench")
-    text = first + "\n".join([_line_section(), _kernel_section(), PROOF_TEXT])
-    RESULTS.write_text(text, encoding="utf-8")
-    print(text)
+def main(names: list[str]) -> None:
+    """The sections of these names, or all of them, each with its tables."""
+    if wrong := set(names) - set(SECTIONS):
+        raise SystemExit(f"no such section: {', '.join(sorted(wrong))}; there are {', '.join(SECTIONS)}")
+    kept = _page_sections() if names else {}
+    sections = []
+    for name, (title, measure) in SECTIONS.items():
+        if name in names or title not in kept:
+            measured = f"*{datetime.now(UTC):%Y-%m-%d}, load {os.getloadavg()[0]:.1f}*"
+            kept[title] = f"{measure().rstrip()}\n\n{measured}\n"
+            print(kept[title], flush=True)
+        sections.append(kept[title].strip())
+    RESULTS.write_text(heading("Measurements", "make bench") + "\n\n".join(sections) + "\n", encoding="utf-8")
+
+
+def _page_sections() -> dict[str, str]:
+    """The page's sections by their titles."""
+    parts = re.split(r"^## ", RESULTS.read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]
+    return {part.split("\n", 1)[0]: f"## {part}" for part in parts}
 
 
 PROOF_TEXT = """## Soundness
 
 `make prove` holds every pose set and every hit of many drives against the truth: [PROVED.md](PROVED.md).
-
-## Pose sets
+`make prove` also fires millions of hostile bytes at every parser: [PROVED_PARSERS.md](PROVED_PARSERS.md).
+"""
+POSE_SETS_TEXT = """## Pose sets
 
 How wide they are, beside a Kalman filter's and the reference's figures (`python -m bench.pose_sets --page`):
 [POSE_SETS.md](POSE_SETS.md).
@@ -62,5 +84,16 @@ def _kernel_section() -> str:
     return f"## The mapping kernel\n\n```\n{result.stdout.strip()}\n```\n"
 
 
+SECTIONS: dict[str, tuple[str, Callable[[], str]]] = {
+    "line": ("The whole line", _line_section),
+    "kernel": ("The mapping kernel", _kernel_section),
+    "faults": ("Bad lines", line_faults.section),
+    "laser": ("The laser's parser", laser.section),
+    "proof": ("Soundness", lambda: PROOF_TEXT),
+    "poses": ("Pose sets", lambda: POSE_SETS_TEXT),
+}
+"""Name on the command line: title on the page, and what measures it."""
+
+
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])
