@@ -1,18 +1,23 @@
 """What rain, fog and people leave in the map, and what of it is in the settled bounds.
 
-    python -m bench.ghosts
+    python -m bench.ghosts [--page]
+
+`--page` rewrites bench/GHOSTS.md.
 
 The paper's robot over rough ground; poses known to 2 cm and 0.3 degrees. Every drive is mapped twice, with and without
 the disturbance: a cell is a ghost where its upper bound is more than 10 cm above that of the undisturbed map, or where
 the undisturbed map has none.
 """
 
+import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.machine import heading
 from drivers.config import LaserConfig
 from drivers.samples import Scan, Stamp
 from mapper.config import MapConfig
@@ -24,6 +29,7 @@ from simulator.terrain import Terrain, build_terrain
 
 Array = NDArray[np.float64]
 
+PAGE = Path(__file__).with_name("GHOSTS.md")
 BEAMS = 181
 SCAN_NS = 40_000_000
 """25 scans a second: every third of the scanner's."""
@@ -109,9 +115,8 @@ def on_common_cells(a: SavedMap, b: SavedMap, name: str) -> tuple[NDArray[np.flo
     cell = a.resolution_m
     corners = [np.round(np.array(saved.origin_m) / cell).astype(int) for saved in (a, b)]
     low = np.minimum(*corners)
-    shape = np.max(
-        [corner - low + saved.low.shape[::-1] for corner, saved in zip(corners, (a, b), strict=True)], axis=0
-    )
+    ends = [corner + saved.low.shape[::-1] for corner, saved in zip(corners, (a, b), strict=True)]
+    shape = np.maximum(*ends) - low
     out = []
     for corner, saved, layer in zip(corners, (a, b), ("high", name), strict=True):
         whole = np.full(shape[::-1], np.nan, np.float32)
@@ -154,16 +159,25 @@ def section() -> str:
     return TEXT + "\n".join(rows) + "\n"
 
 
-TEXT = """## Ghosts
-
-Cells of 10 cm on rough ground; a ghost's upper bound is more than 10 cm above that of the undisturbed map, or it is
+TEXT = """Cells of 10 cm on rough ground; a ghost's upper bound is more than 10 cm above that of the undisturbed map, or it is
 where that map has no cell. `kept`: cells of the undisturbed map that have settled bounds. Rain: an echo per 2 km of
-beam; fog: one per 50 m; three walkers. What it means: [docs/ghosts.md](../docs/ghosts.md).
+beam; fog: one per 50 m; three walkers. What it means: [ghosts.md](../docs/ghosts.md).
 
 | drive | weather | evidence | ghosts in the bounds | ghosts in the settled bounds | kept |
 |---|---|---|---|---|---|
 """
 
 
+def main() -> None:
+    """Print the table, and write the page if asked to."""
+    parser = argparse.ArgumentParser(prog="python -m bench.ghosts", description="what weather and people leave")
+    parser.add_argument("--page", action="store_true", help="rewrite bench/GHOSTS.md")
+    page = parser.parse_args().page
+    text = section()
+    print(text)
+    if page:
+        PAGE.write_text(heading("Ghosts", "python -m bench.ghosts --page") + text, encoding="utf-8")
+
+
 if __name__ == "__main__":
-    print(section())
+    main()

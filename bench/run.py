@@ -48,6 +48,10 @@ POSE_SETS_TEXT = """## Pose sets
 
 How wide they are, beside a Kalman filter's and the reference's figures (`python -m bench.pose_sets --page`):
 [POSE_SETS.md](POSE_SETS.md).
+
+## Ghosts
+
+What rain, fog and people leave in the map (`python -m bench.ghosts --page`): [GHOSTS.md](GHOSTS.md).
 """
 LINE_TEXT = """## The whole line
 
