@@ -159,9 +159,9 @@ def section() -> str:
     return TEXT + "\n".join(rows) + "\n"
 
 
-TEXT = """Cells of 10 cm on rough ground; a ghost's upper bound is more than 10 cm above that of the undisturbed map, or it is
-where that map has no cell. `kept`: cells of the undisturbed map that have settled bounds. Rain: an echo per 2 km of
-beam; fog: one per 50 m; three walkers. What it means: [ghosts.md](../docs/ghosts.md).
+TEXT = """Cells of 10 cm on rough ground; a ghost's upper bound is more than 10 cm above that of the undisturbed map, or
+it is where that map has no cell. `kept`: cells of the undisturbed map that have settled bounds. Rain: an echo per 2 km
+of beam; fog: one per 50 m; three walkers. What it means: [ghosts.md](../docs/ghosts.md).
 
 | drive | weather | evidence | ghosts in the bounds | ghosts in the settled bounds | kept |
 |---|---|---|---|---|---|

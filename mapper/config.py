@@ -9,6 +9,16 @@ from drivers.config import STRICT, Positive
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class ContactConfig:
+    """What the tracks tell of the ground under them (docs/contact.md)."""
+
+    track_width_m: Positive
+    bound_m: Positive
+    """How far the ground can be from a track's underside, the plane z = 0 of base_link, where it touches: sinkage, the
+    track's give, grousers."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class MapConfig:
     """The elevation map."""
 
@@ -21,6 +31,8 @@ class MapConfig:
     """Without a store: forget the tiles farthest from the robot instead, and count them."""
     max_footprint_m: Positive = 3.0
     """A beam whose footprint is wider than this tells too little: it is skipped and counted."""
+    contact: ContactConfig | None = None
+    """Map the ground that the tracks touch, too. Absent: only what beams hit."""
     evidence_slots: Annotated[int, Field(ge=0, le=16)] = 0
     """Keep cells apart by so many time slots, dealt round robin, to tell what was seen only for a moment (settled
     bounds, docs/ghosts.md). Each slot takes another 8 bytes a cell, and 8 more for all. 0: none."""

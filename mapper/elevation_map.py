@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 
 from drivers.config import LaserConfig
 from drivers.samples import Scan
+from estimator.config import RobotConfig
 from mapper import kernel, tile_layers
 from mapper.config import MapConfig
+from mapper.contact import insert_patches, track_patches
 from mapper.grid import TILE_SIDE, tile_indices, tile_key
-from mapper.projection import B_SIZE, LANES, P_SIZE, Floats, beam_table, laser_geometry
+from mapper.projection import B_SIZE, G_SIZE, LANES, P_SIZE, Floats, beam_table, laser_geometry
 from mapper.tile import Tile
 
 _MAP_NORESERVE = 0x4000
@@ -50,18 +52,27 @@ class InsertResult(NamedTuple):
 class ElevationMap:
     """Elevation intervals over a plane that grows by tiles."""
 
-    def __init__(self, config: MapConfig, laser: LaserConfig, submap: int = 0) -> None:
+    def __init__(
+        self, config: MapConfig, laser: LaserConfig, submap: int = 0, robot: RobotConfig | None = None
+    ) -> None:
         """Start empty. Compiles the kernel now (seconds at first, then cached), so that no scan waits for it."""
         self.config = config
         self.submap = submap
         self._geometry = laser_geometry(laser)
         self._beam_angles = (0, 0.0, 0.0)
         self._directions = np.empty((2, 0))
-        self._poses = np.empty((0, P_SIZE))
+        self._poses = np.empty((1, P_SIZE))
         self._scratch = np.zeros(kernel.WORK_SIZE + B_SIZE)
         self._spans = np.zeros(kernel.S_SIZE, np.int32)
         self._heights = np.zeros(2 * LANES, np.float32)
         self._tiles_left_out = 0
+        self._patches = np.empty((0, G_SIZE))
+        if config.contact is not None:
+            if robot is None:
+                raise ValueError("contact needs the robot's tracks")
+            self._patches = track_patches(
+                config.contact, robot.track_length_m, robot.track_gauge_m, config.resolution_m
+            )
         self._slot_ns = round(config.evidence_slot_ms * 1e6)
         # Room for all tiles there may ever be: memory that nobody has touched costs nothing.
         most = config.max_tiles
@@ -74,6 +85,7 @@ class ElevationMap:
         self._pool = _untouched_pool(most, 1 + config.evidence_slots if config.evidence_slots else 1)
         self._make_ready()
         self._insert(0, np.empty(0), np.empty(0, np.int32), np.zeros((1, 6)), np.zeros((1, 6)))
+        self.insert_contact(0, np.full(6, np.nan), np.full(6, np.nan))
         self._layers(0)
 
     def insert(self, scan: Scan, low: Floats, high: Floats, pose_index: NDArray[np.int32]) -> InsertResult:
@@ -94,6 +106,24 @@ class ElevationMap:
         if numbers[kernel.N_READY] - numbers[kernel.N_TILES] < _TILES_SPARE:
             self._make_ready()
         return InsertResult(len(pose_index), *numbers[: kernel.FATES])
+
+    def insert_contact(self, time_ns: int, low: Floats, high: Floats) -> None:
+        """Take what the tracks touched when base_link was somewhere in the pose box [low, high], both [6].
+
+        Nothing where the configuration has no contact, or where the box has no finite bounds.
+        """
+        done, patches = 0, len(self._patches)
+        while done < patches:
+            # fmt: off
+            done = insert_patches(
+                done, self._patches, low, high,
+                self.config.resolution_m, self.config.max_footprint_m, self._plane(time_ns),
+                self._scratch, self._poses[0], self._spans, self._heights,
+                self._numbers, self._table, self._keys, self._dirty, self._pool, self._sure,
+            )
+            # fmt: on
+            if done < patches:
+                self._make_ready()
 
     @property
     def counts(self) -> Counter[str]:

@@ -180,6 +180,56 @@ def hull_cells(
     return changed
 
 
+@compiled
+def touch_block(
+    count: int,
+    plane: int,
+    hits: bool,
+    spans: Indices,
+    heights: Cells,
+    numbers: Counts,
+    table: Indices,
+    keys: Keys,
+    dirty: Flags,
+    pool: Cells,
+    sure: Bits,
+) -> int:
+    """Hull of the cells of `count` footprints with their intervals; how many were done before tiles ran out.
+
+    hits: each footprint holds a point that was measured.
+    """
+    plane_address, stride = np.uint64(pool.ctypes.data + plane * TILE_BYTES), pool.shape[1] * TILE_BYTES
+    last_key, last_tile = np.uint64(0), np.int64(-1)
+    for lane in range(count):
+        fate = spans[S_FATE + lane]
+        if fate == USED:
+            i0, i1 = int(spans[S_I0 + lane]), int(spans[S_I1 + lane])
+            j0, j1 = int(spans[S_J0 + lane]), int(spans[S_J1 + lane])
+            for ty in range(j0 >> TILE_SHIFT, (j1 >> TILE_SHIFT) + 1):
+                for tx in range(i0 >> TILE_SHIFT, (i1 >> TILE_SHIFT) + 1):
+                    key = tile_key(tx, ty)
+                    if last_tile < 0 or key != last_key:
+                        tile = tile_at(key, numbers, table, keys)
+                        if tile == POOL_FULL:
+                            return lane
+                        if tile == LEFT_OUT:
+                            fate = BEYOND_CAP
+                            continue
+                        last_key, last_tile = key, tile
+                    row0, row1 = max(j0 - (ty << TILE_SHIFT), 0), min(j1 - (ty << TILE_SHIFT), TILE_SIDE - 1)
+                    col0, col1 = max(i0 - (tx << TILE_SHIFT), 0), min(i1 - (tx << TILE_SHIFT), TILE_SIDE - 1)
+                    tile_address = plane_address + np.uint64(last_tile * stride)
+                    changed = hull_cells(tile_address, row0, row1, col0, col1, heights[lane], heights[LANES + lane])
+                    if hits and i0 == i1 and j0 == j1:  # the hit is in this cell: the footprint reaches no other
+                        bit = np.uint64(1) << np.uint64(col0)
+                        changed |= sure[last_tile, row0] & bit == np.uint64(0)
+                        sure[last_tile, row0] |= bit
+                    if changed:
+                        dirty[last_tile] = True
+        numbers[fate] += 1
+    return count
+
+
 @compiled_unlocked
 def insert_beams(
     first: int,
@@ -209,12 +259,10 @@ def insert_beams(
     scratch, spans, heights: scratch; numbers [N_SIZE]; table the hash; keys, dirty, pool, sure one row a tile.
     """
     beams, inverse = ranges.size, 1.0 / resolution_m
-    plane_address, stride = np.uint64(pool.ctypes.data + plane * TILE_BYTES), pool.shape[1] * TILE_BYTES
     cosines, sines = directions[0], directions[1]
     work, block = scratch[:WORK_SIZE].reshape(W_ROWS, 4), scratch[WORK_SIZE:]
     for m in range(pose_low.shape[0]):
         prepare_pose(pose_low[m], pose_high[m], geometry, work, poses[m])
-    last_key, last_tile = np.uint64(0), np.int64(-1)
     if first == 0:
         for fate in range(FATES):
             numbers[fate] = 0
@@ -225,37 +273,12 @@ def insert_beams(
         if m < 0 or m >= pose_low.shape[0] or poses[m, P_USABLE] != 1.0:
             for k in range(n, n + count):
                 numbers[NO_POSE if usable_range(ranges[k], geometry) else NO_RANGE] += 1
-            n += count
-            continue
-        box_block(poses[m], geometry, n, count, ranges, cosines, sines, block)
-        locate_block(n, count, ranges, geometry, inverse, max_footprint_m, block, spans, heights)
-        for lane in range(count):
-            fate = spans[S_FATE + lane]
-            if fate == USED:
-                i0, i1 = int(spans[S_I0 + lane]), int(spans[S_I1 + lane])
-                j0, j1 = int(spans[S_J0 + lane]), int(spans[S_J1 + lane])
-                for ty in range(j0 >> TILE_SHIFT, (j1 >> TILE_SHIFT) + 1):
-                    for tx in range(i0 >> TILE_SHIFT, (i1 >> TILE_SHIFT) + 1):
-                        key = tile_key(tx, ty)
-                        if last_tile < 0 or key != last_key:
-                            tile = tile_at(key, numbers, table, keys)
-                            if tile == POOL_FULL:
-                                return n + lane
-                            if tile == LEFT_OUT:
-                                fate = BEYOND_CAP
-                                continue
-                            last_key, last_tile = key, tile
-                        row0, row1 = max(j0 - (ty << TILE_SHIFT), 0), min(j1 - (ty << TILE_SHIFT), TILE_SIDE - 1)
-                        col0, col1 = max(i0 - (tx << TILE_SHIFT), 0), min(i1 - (tx << TILE_SHIFT), TILE_SIDE - 1)
-                        tile_address = plane_address + np.uint64(last_tile * stride)
-                        changed = hull_cells(tile_address, row0, row1, col0, col1, heights[lane], heights[LANES + lane])
-                        if i0 == i1 and j0 == j1:  # the hit is in this cell, as the footprint reaches no other
-                            bit = np.uint64(1) << np.uint64(col0)
-                            changed |= sure[last_tile, row0] & bit == np.uint64(0)
-                            sure[last_tile, row0] |= bit
-                        if changed:
-                            dirty[last_tile] = True
-            numbers[fate] += 1
+        else:
+            box_block(poses[m], geometry, n, count, ranges, cosines, sines, block)
+            locate_block(n, count, ranges, geometry, inverse, max_footprint_m, block, spans, heights)
+            done = touch_block(count, plane, True, spans, heights, numbers, table, keys, dirty, pool, sure)
+            if done < count:
+                return n + done
         n += count
     for fate in range(FATES):
         numbers[N_TOTALS + fate] += numbers[fate]

@@ -43,12 +43,13 @@ GROW = 1.0 + 2.0**-40
 G_MATRIX = 0  # Rm, row by row
 G_PITCH_AXIS = 9  # mount pitch turns about (x, y, 0) of base_link
 G_LEVER = 11
-G_LEVER_BOUND = 14
-G_MOUNT_BOUND = 15
-G_SCAN_BOUND = 16
-G_RANGE_BOUND = 17
-G_RANGE_MIN = 18
-G_RANGE_MAX = 19
+G_LEVER_BOUND = 14  # along x, y, z of base_link
+G_MOUNT_BOUND = 17
+G_SCAN_BOUND = 18
+G_RANGE_BOUND = 19
+G_RANGE_MIN = 20
+G_RANGE_MAX = 21
+G_SIZE = 22
 
 # What all beams of one pose share: one row of float64.
 P_CENTRE = 0  # t + R l
@@ -87,7 +88,7 @@ def laser_geometry(laser: LaserConfig) -> Floats:
     """The mounting and the bounds of a laser, in metres and radians, bounds rounded up."""
     yaw, pitch, roll = radians(laser.mount_yaw_deg), -radians(laser.mount_pitch_deg), radians(laser.mount_roll_deg)
     bounds = (
-        laser.mount_position_bound_m,
+        *(3 * (laser.mount_position_bound_m,)),
         radians(laser.mount_angle_bound_deg),
         radians(laser.angle_bound_deg),
         laser.range_bound_m,
@@ -137,7 +138,8 @@ def prepare_pose(low: Floats, high: Floats, geometry: Floats, work: Floats, out:
     x, y, z = 0.5 * low[0] + 0.5 * high[0], 0.5 * low[1] + 0.5 * high[1], 0.5 * low[2] + 0.5 * high[2]
     roll, pitch, yaw = 0.5 * low[3] + 0.5 * high[3], 0.5 * low[4] + 0.5 * high[4], 0.5 * low[5] + 0.5 * high[5]
     d_x, d_y, d_z = max(high[0] - x, x - low[0]), max(high[1] - y, y - low[1]), max(high[2] - z, z - low[2])
-    d_lever, d_mount, d_range = geometry[G_LEVER_BOUND], geometry[G_MOUNT_BOUND], geometry[G_RANGE_BOUND]
+    d_lever = geometry[G_LEVER_BOUND : G_LEVER_BOUND + 3]
+    d_mount, d_range = geometry[G_MOUNT_BOUND], geometry[G_RANGE_BOUND]
 
     cr, sr, cp, sp, cy, sy = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
     R, M, axis = work[W_R : W_R + 3], work[W_M : W_M + 3], work[W_AXIS : W_AXIS + 7]
@@ -184,8 +186,8 @@ def prepare_pose(low: Floats, high: Floats, geometry: Floats, work: Floats, out:
 
     # Second order. A_k A_m = a_m a_k' - (a_k . a_m) I. What acts on |v| = |R l + r u| is split into |R l| and r |u|.
     for i in range(3):
-        lever_rows = abs(R[i, 0]) + abs(R[i, 1]) + abs(R[i, 2])
-        out[P_CONSTANT + i] = (d_x if i == 0 else d_y if i == 1 else d_z) + lever_rows * d_lever
+        lever_shift = abs(R[i, 0]) * d_lever[0] + abs(R[i, 1]) * d_lever[1] + abs(R[i, 2]) * d_lever[2]
+        out[P_CONSTANT + i] = (d_x if i == 0 else d_y if i == 1 else d_z) + lever_shift
         for j in range(3):
             turn_turn = turn_turn_outer = turn_range = turn_outer = 0.0
             for m in range(7):
@@ -202,13 +204,13 @@ def prepare_pose(low: Floats, high: Floats, geometry: Floats, work: Floats, out:
                         turn_turn_outer += term
             out[P_TURN_TURN + 3 * i + j] = turn_turn
             out[P_TURN_RANGE + 3 * i + j] = turn_range * d_range + (d_range if i == j else 0.0)
-            lever_row = abs(R[j, 0]) + abs(R[j, 1]) + abs(R[j, 2])
+            lever_shift = abs(R[j, 0]) * d_lever[0] + abs(R[j, 1]) * d_lever[1] + abs(R[j, 2]) * d_lever[2]
             out[P_CONSTANT + i] += turn_turn_outer * abs(vx if j == 0 else vy if j == 1 else vz)
-            out[P_CONSTANT + i] += turn_outer * lever_row * d_lever
+            out[P_CONSTANT + i] += turn_outer * lever_shift
 
     # Third order, and the inflation for rounding.
     lever = np.sqrt(lx * lx + ly * ly + lz * lz)
-    lever_bound = 2.0 * d_lever  # >= sqrt(3) d_lever
+    lever_bound = np.sqrt(d_lever[0] * d_lever[0] + d_lever[1] * d_lever[1] + d_lever[2] * d_lever[2])
     turn = axis[1, 3] + axis[2, 3]
     inner = axis[3, 3] + axis[4, 3] + axis[5, 3] + axis[6, 3]
     reach = abs(x) + abs(y) + abs(z) + lever + lever_bound + geometry[G_RANGE_MAX] + d_range

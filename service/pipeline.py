@@ -43,7 +43,7 @@ class Pipeline:
         self.filter = Filter(
             config.robot, config.filter, config.devices.encoders, config.devices.imu, config.devices.gps
         )
-        self.map = ElevationMap(config.map, config.devices.laser)
+        self.map = ElevationMap(config.map, config.devices.laser, robot=config.robot)
         self.counts: Counter[str] = Counter()
         """scans, beams, and what was dropped, by reason."""
         self.released_ns = 0
@@ -99,6 +99,7 @@ class Pipeline:
             self.counts["scans_without_pose"] += 1
             return
         result = self.map.insert(waiting.scan, low, high, times.pose_index)
+        self.map.insert_contact(times.earliest_ns[0], low[0], high[0])
         self.counts["scans"] += 1
         self.counts["beams"] += result.beams
         self.released_ns = max(received_ns, waiting.received_ns)
