@@ -3,7 +3,8 @@
 A range telegram tells its unit and count, but neither how wide its distances are (block D) nor, if it holds a
 sub-range, at which angle and resolution the scanner works. That stands in configuration, status and variant telegrams,
 which a recording may hold. Until one came, range telegrams wait; at the end, or when many wait, the width is inferred
-from their values (width.py). An inferred width never makes a range of a code that any width reserves.
+from their values (width.py), and sub-ranges that nothing places are counted. An inferred width never makes a range of a
+code that any width reserves.
 """
 
 from collections import Counter
@@ -51,7 +52,10 @@ _EVERY_NTH_OF_COUNT = {
     (count - 1) // every + 1: (variant, every) for count, variant in _VARIANT_OF_COUNT.items() for every in EVERY_NTH
 }
 """Counts of whole scans mean whole scans; no other count comes twice."""
+_PLACED = PLACED | {REFLECTIVITY}
 _MOST_WAITING = 128
+_ONE_SHORT = 180
+"""Values of 181 that some programs keep when they record."""
 
 
 def _known_sweep(variant: Variant | None) -> Sweep | None:
@@ -70,6 +74,7 @@ class LmsStreamDecoder:
         self._inferred_bits: int | None = None
         self._variant = variant
         self._waiting: list[Frame] = []
+        self._waited_enough = False
         self._partial_codes: list[NDArray[np.uint16]] = []
         self._partial_flags: bool | None = None
 
@@ -80,8 +85,6 @@ class LmsStreamDecoder:
     def finish(self) -> list[Scan]:
         """No more bytes come: the scans that still waited to be told."""
         scans = self._scans(self._reader.release())
-        if self._waiting:
-            self._infer()
         return scans + self._scans_that_waited()
 
     def _scans(self, frames: list[Frame]) -> list[Scan]:
@@ -90,17 +93,19 @@ class LmsStreamDecoder:
             self.counts["telegrams"] += 1
             if frame.command in RANGE_COMMANDS:
                 self._waiting.append(frame)
-                if not self._width_known and len(self._waiting) >= _MOST_WAITING:
-                    self._infer()
+                self._waited_enough |= len(self._waiting) >= _MOST_WAITING
             else:
                 self._learn(frame)
-            if self._width_known:
+            if self._waiting and (self._waited_enough or self._all_told):
                 scans += self._scans_that_waited()
         return scans
 
     @property
-    def _width_known(self) -> bool:
-        return self._mode is not None or self._inferred_bits is not None
+    def _all_told(self) -> bool:
+        """Is known what the telegrams that wait do not say of themselves?"""
+        return self._mode is not None and (
+            self._variant is not None or not any(frame.command in _PLACED for frame in self._waiting)
+        )
 
     def _learn(self, frame: Frame) -> None:
         """What a telegram without measured values says about those that have some."""
@@ -123,12 +128,10 @@ class LmsStreamDecoder:
             case Command.MODE.answer:
                 self._gaps.restart()
 
-    def _infer(self) -> None:
-        """Tell the width from the values that wait."""
-        parts = [part.codes for frame in self._waiting for part in parse_ranges(frame.payload)]
-        self._inferred_bits = inferred_width(parts)
-
     def _scans_that_waited(self) -> list[Scan]:
+        if self._mode is None and self._inferred_bits is None and self._waiting:
+            parts = [part.codes for frame in self._waiting for part in parse_ranges(frame.payload)]
+            self._inferred_bits = inferred_width(parts)
         frames, self._waiting = self._waiting, []
         return [scan for frame in frames for scan in self._scans_of(frame)]
 
@@ -152,7 +155,7 @@ class LmsStreamDecoder:
             return None
         if self._mode is None:
             self.counts["scans_of_inferred_width"] += 1
-            assert self._inferred_bits is not None  # nothing is decoded before
+            assert self._inferred_bits is not None  # or nothing would be decoded yet
             return decode_inferred(part.codes, self._inferred_bits, part.unit)
         value_format = ValueFormat.of(self._mode, part.unit)
         if value_format is None:
@@ -176,7 +179,7 @@ class LmsStreamDecoder:
     def _sweep(self, part: RangeTelegram) -> Sweep | None:
         """The beams of a part, or None, counted, if nothing tells where they point."""
         count = len(part.codes)
-        placed = part.command in PLACED or part.command == REFLECTIVITY
+        placed = part.command in _PLACED
         if part.partial:
             whole = partial_sweep(part.quarter)
             if placed and part.last <= whole.count:
@@ -209,5 +212,7 @@ class LmsStreamDecoder:
         if count in _EVERY_NTH_OF_COUNT:
             variant, every = _EVERY_NTH_OF_COUNT[count]
             return full_sweep(variant).part(1, count, every)
+        if count == _ONE_SHORT:
+            return full_sweep(VARIANTS[0]).part(1, count)
         self.counts["undecoded_count"] += 1
         return None

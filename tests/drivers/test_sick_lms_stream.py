@@ -233,6 +233,18 @@ def test_sub_ranges_are_placed_by_what_the_scanner_said(teaching: bytes, first_d
     assert np.degrees(scan.angle_min_rad) == pytest.approx(first_deg)
 
 
+def test_a_sub_range_waits_to_be_placed() -> None:
+    """What the scanner says of itself behind its first sub-ranges places these too, and their order is kept."""
+    decoder = LmsStreamDecoder(measuring_mode=0x06)
+    sub_ranges = [answer(RangeTelegram(codes_of(n), MM, command=SUB_RANGE, first=11).serialise()) for n in (5, 6)]
+
+    assert decoder.receive_data(b"".join(sub_ranges)) == []
+    scans = decoder.receive_data(answer(Variant(100, 25).serialise_answer(True)))
+
+    assert [len(scan.ranges_m) for scan in scans] == [5, 6]
+    assert np.degrees(scans[0].angle_min_rad) == pytest.approx(-47.5)
+
+
 @pytest.mark.parametrize("flagged", [False, True])
 def test_partial_scans_are_read_in_either_coding(flagged: bool) -> None:
     """As configured with flags, or "immediate" and wide: the values tell; what both codings share comes out at once."""
@@ -274,7 +286,7 @@ def test_lost_and_repeated_telegrams_are_counted_by_their_indices() -> None:
 def test_what_cannot_be_placed_is_counted_not_guessed() -> None:
     """Unknown units, counts of no variant, sub-ranges of unknown scans and energies give no scan, and say why."""
     undecodable = {
-        "undecoded_count": RangeTelegram(codes_of(180), MM),
+        "undecoded_count": RangeTelegram(codes_of(179), MM),
         "undecoded_unit": RangeTelegram(codes_of(181), 3),
         "undecoded_sub_range": RangeTelegram(codes_of(50), MM, command=SUB_RANGE, first=1),
         "undecoded_energies": RangeTelegram(codes_of(181), MM),
@@ -282,7 +294,7 @@ def test_what_cannot_be_placed_is_counted_not_guessed() -> None:
     }
     for reason, telegram in undecodable.items():
         decoder = LmsStreamDecoder({"undecoded_energies": 0x3F, "undecoded_measuring_mode": 0x07}.get(reason, 0x06))
-        assert decoder.receive_data(answer(telegram.serialise())) == []
+        assert decoder.receive_data(answer(telegram.serialise())) + decoder.finish() == []
         assert decoder.counts["undecoded_scans"] == decoder.counts[reason] == 1
         assert decoder.counts["scans"] == 0
 
