@@ -1,35 +1,114 @@
-"""A saved map for other programs: `.ply` (mesh), `.png` (picture), `.npz` (a copy)."""
+"""A map for other programs: `.tif` (GDAL, QGIS), `.ply` (mesh), `.png` (picture), `.npz` (numpy).
 
+What is exported is a layer: the elevations themselves, or bounds of step, slope and roughness, or what is certainly
+passable (mapper/traversability.py).
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import IO
+from typing import IO, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mapper.geotiff import write_geotiff
+from mapper.map_picture import write_png, write_verdicts
 from mapper.saved_map import MapFileError, SavedMap, save, write_whole
+from mapper.traversability import RobotLimits, Traversability, Verdict, assess
+
+LayerName: TypeAlias = Literal["elevation", "step", "slope", "roughness", "passable"]
+UNITS = {"elevation": "m", "step": "m", "slope": "m/m", "roughness": "m"}
 
 
-def export_map(saved: SavedMap, output: Path) -> None:
-    """Write `output` in the format that its suffix names."""
-    writers = {".ply": write_ply, ".png": write_png, ".npz": save}
-    writer = writers.get(output.suffix.lower())
-    if writer is None:
+def export_map(
+    saved: SavedMap, output: Path, layer: LayerName = "elevation", limits: RobotLimits | None = None
+) -> None:
+    """Write a layer in the format that the suffix of `output` names. Layers but the elevation need `limits`."""
+    suffix = output.suffix.lower()
+    if layer == "elevation":
+        writers: dict[str, Callable[[], None]] = {
+            ".tif": lambda: _write_elevations(cropped(saved), output),
+            ".ply": lambda: write_ply(saved, output),
+            ".png": lambda: write_png(cropped(saved), output),
+            ".npz": lambda: save(saved, output),
+        }
+    else:
+        if limits is None:
+            raise MapFileError(f"the layer {layer} depends on the robot: its length is needed")
+        part = cropped(saved)
+        found = assess(part, limits)
+        writers = _passable_writers(part, found, output) if layer == "passable" else _bounds(part, found, layer, output)
+    if suffix not in writers:
         raise MapFileError(
             f"{output}: don't know how to write {output.suffix or 'a file without suffix'}; "
             f"use one of {', '.join(writers)}"
         )
-    writer(saved, output)
+    writers[suffix]()
+
+
+def _bounds(saved: SavedMap, found: Traversability, layer: str, output: Path) -> dict[str, Callable[[], None]]:
+    """Writers of the bounds of step, slope or roughness."""
+    low, high = getattr(found, f"{layer}_low"), getattr(found, f"{layer}_high")
+    bounds = replace(saved, low=low, high=high, settled_low=None, settled_high=None)
+    bands = {f"{layer}_min": low, f"{layer}_max": high}
+    return {
+        ".tif": lambda: write_geotiff(saved, bands, output, UNITS[layer]),
+        ".png": lambda: write_png(bounds, output, layer, UNITS[layer]),
+        ".npz": lambda: save(bounds, output),
+    }
+
+
+def _passable_writers(saved: SavedMap, found: Traversability, output: Path) -> dict[str, Callable[[], None]]:
+    """Writers of verdicts: 1 certainly passable, 0 certainly not, NaN not known."""
+    values = np.full(saved.low.shape, np.nan, np.float32)
+    values[found.verdict == Verdict.PASSABLE] = 1.0
+    values[found.verdict == Verdict.IMPASSABLE] = 0.0
+    return {
+        ".tif": lambda: write_geotiff(saved, {"passable": values}, output),
+        ".png": lambda: write_verdicts(saved, found.verdict, output),
+    }
+
+
+def _write_elevations(saved: SavedMap, output: Path) -> None:
+    bands = {"elevation_min": saved.low, "elevation_max": saved.high}
+    if saved.surely_hit is not None:
+        bands["surely_hit"] = np.where(np.isnan(saved.low), np.float32(np.nan), saved.surely_hit.astype(np.float32))
+    if saved.settled_low is not None and saved.settled_high is not None:
+        bands |= {"settled_min": saved.settled_low, "settled_max": saved.settled_high}
+    write_geotiff(saved, bands, output)
+
+
+def cropped(saved: SavedMap) -> SavedMap:
+    """Without the unseen rows and columns around it."""
+    seen = ~np.isnan(saved.low)
+    rows, columns = np.flatnonzero(seen.any(1)), np.flatnonzero(seen.any(0))
+    if rows.size == 0:
+        return saved
+    window = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    layers: dict[str, Any] = {
+        name: None if (layer := getattr(saved, name)) is None else layer[window]
+        for name in ("low", "high", "surely_hit", "settled_low", "settled_high")
+    }
+    x, y = saved.origin_m
+    origin = x + float(columns[0]) * saved.resolution_m, y + float(rows[0]) * saved.resolution_m
+    return replace(saved, **layers, origin_m=origin)
 
 
 def write_ply(saved: SavedMap, path: Path) -> None:
     """Mesh of the middle surface, map frame, metres.
 
-    A vertex for every seen cell's centre: x, y, z (middle), low, high. Two triangles between four seen neighbours.
+    A vertex for every seen cell's centre: x, y, z (middle), low, high, and surely_hit where it is known. Two triangles
+    between four seen neighbours.
     """
     seen = ~np.isnan(saved.low)
     rows, columns = np.nonzero(seen)
     kind = [(name, "<f4") for name in ("x", "y", "z", "low", "high")]
+    if saved.surely_hit is not None:
+        kind.append(("surely_hit", "u1"))
     vertices = np.empty(rows.size, kind)
+    if saved.surely_hit is not None:
+        vertices["surely_hit"] = saved.surely_hit[seen]
     vertices["x"] = saved.origin_m[0] + (columns + 0.5) * saved.resolution_m
     vertices["y"] = saved.origin_m[1] + (rows + 0.5) * saved.resolution_m
     vertices["low"], vertices["high"] = saved.low[seen], saved.high[seen]
@@ -49,7 +128,7 @@ def write_ply(saved: SavedMap, path: Path) -> None:
             "format binary_little_endian 1.0",
             f"comment terrain map, frame {saved.frame}, z between low and high".replace("\n", " "),
             f"element vertex {vertices.size}",
-            *(f"property float {name}" for name, _ in kind),
+            *(f"property {'float' if code == '<f4' else 'uchar'} {name}" for name, code in kind),
             f"element face {faces.size}",
             "property list uchar int vertex_indices",
             "end_header\n",
@@ -62,29 +141,6 @@ def write_ply(saved: SavedMap, path: Path) -> None:
         file.write(faces.tobytes())
 
     write_whole(path, write)
-
-
-def write_png(saved: SavedMap, path: Path) -> None:
-    """Picture: the middle of each interval, and its width. Needs matplotlib (the extra `plots`)."""
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MapFileError(f"{path}: pictures need matplotlib: pip install 'terrabound[plots]'") from None
-    height, width = saved.low.shape
-    x, y = saved.origin_m
-    extent = (x, x + width * saved.resolution_m, y, y + height * saved.resolution_m)
-    figure = Figure(figsize=(12, 5.5), layout="constrained")
-    panels = (
-        ("middle of the interval", _middle(saved), "terrain"),
-        ("width of the interval", saved.high - saved.low, "viridis"),
-    )
-    for axes, (title, layer, colours) in zip(figure.subplots(1, 2), panels, strict=True):
-        axes.set_facecolor("white")
-        if layer.size:
-            image = axes.imshow(layer, origin="lower", extent=extent, cmap=colours, interpolation="nearest")
-            figure.colorbar(image, ax=axes, label="m", shrink=0.8)
-        axes.set(title=title, xlabel=f"x in {saved.frame} (m)", ylabel="y (m)")
-    write_whole(path, lambda file: figure.savefig(file, format="png", dpi=120))
 
 
 def _middle(saved: SavedMap) -> NDArray[np.float32]:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import TerraboundError
+from mapper.map_picture import hillshade
 from mapper.saved_map import SavedMap
 
 Array = NDArray[np.float64]
@@ -74,7 +75,7 @@ def draw(path: Path, saved: SavedMap, drive_xy: Array, profile: Profile, labels:
         vmax=high + 0.1,
         interpolation="nearest",
     )
-    above.imshow(_hillshade(middle, cell), origin="lower", extent=extent, cmap="gray", alpha=0.35, vmin=0, vmax=1)
+    above.imshow(hillshade(middle, cell), origin="lower", extent=extent, cmap="gray", alpha=0.35, vmin=0, vmax=1)
     if saved.surely_hit is not None:
         sure = np.where(saved.surely_hit[window], 1.0, np.nan)
         above.imshow(sure, origin="lower", extent=extent, cmap="cool", vmin=0, vmax=1, interpolation="nearest")
@@ -123,13 +124,6 @@ def draw(path: Path, saved: SavedMap, drive_xy: Array, profile: Profile, labels:
     figure.suptitle(f"{labels.title}\n{labels.summary}", fontsize=13)
     figure.savefig(path)
     plt.close(figure)
-
-
-def _hillshade(elevation: Array, cell_m: float) -> Array:
-    """Light from the north-west, 45 degrees high; NaN where nothing was seen."""
-    slope_y, slope_x = np.gradient(elevation, cell_m)
-    shade: Array = (1 + slope_x - slope_y) / np.sqrt(1 + slope_x**2 + slope_y**2) / np.sqrt(3)
-    return np.clip(shade, 0, 1)
 
 
 def _bounds_along(saved: SavedMap, profile: Profile) -> tuple[Array, Array]:

@@ -1,12 +1,21 @@
-"""`terrabound export`: every format that it offers, and what it does not."""
+"""`terrabound export`: every format that it offers, and what it does not; other people's readers of what it writes."""
 
+import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from mapper.saved_map import SavedMap, load, save
+from mapper.store import Submap
+from mapper.store_check import open_store
+from mapper.tile import Tile
+from mapper.tile_codec import encode
 from service.cli import run_command
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 LOW = np.array([[0.0, 0.1, 0.2], [0.0, np.nan, 0.2]], np.float32)
 
@@ -19,7 +28,8 @@ def map_file(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("suffix", "begins"), [(".ply", b"ply\nformat binary"), (".png", b"\x89PNG\r\n"), (".npz", b"PK")]
+    ("suffix", "begins"),
+    [(".tif", b"II*\0"), (".ply", b"ply\nformat binary"), (".png", b"\x89PNG\r\n"), (".npz", b"PK")],
 )
 def test_a_map_becomes_another_programs_file(
     suffix: str, begins: bytes, map_file: Path, capfd: pytest.CaptureFixture[str]
@@ -48,3 +58,88 @@ def test_what_cannot_be_written_is_said(
     """An unknown ending, a folder that is not there."""
     assert run_command(["export", str(map_file), str(map_file.with_name("x").parent / output)]) == 1
     assert told in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("layer", ["step", "slope", "roughness", "passable"])
+@pytest.mark.parametrize("suffix", [".tif", ".png"])
+def test_layers_for_planners_are_exported(layer: str, suffix: str, map_file: Path) -> None:
+    """Each as a raster and as a picture, for a robot of given limits."""
+    output = map_file.with_name(f"out{suffix}")
+    limits = ["--max-step-m", "0.2", "--max-slope-deg", "30", "--max-roughness-m", "0.2", "--length-m", "0.1"]
+    assert run_command(["export", str(map_file), str(output), "--layer", layer, *limits]) == 0
+    assert output.stat().st_size > 200
+
+
+def test_a_map_without_a_place_says_so(map_file: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """A GeoTIFF of it is no lie about the Earth, and the person is told."""
+    assert run_command(["export", str(map_file), str(map_file.with_name("out.tif"))]) == 0
+    assert "no place on Earth" in capfd.readouterr().err
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Path:
+    """A store with two runs."""
+    store, _ = open_store(tmp_path / "map.db")
+    for number in (0, 1):
+        low = np.full((64, 64), float(number), np.float32)
+        store.save(Submap(number, 0.1, "map"), [Tile(number, number, 0, 0.1, low, low)], 0)
+    store.close()
+    return tmp_path / "map.db"
+
+
+def test_any_run_in_a_store_is_exported(store: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """The newest, or the one that is named; one that is not there is said, with those that are."""
+    output = store.with_name("out.npz")
+    assert run_command(["export", str(store), str(output)]) == 0
+    assert (load(output).low == 1.0).all()
+    assert run_command(["export", str(store), str(output), "--submap", "0"]) == 0
+    assert (load(output).low == 0.0).all()
+    assert load(output).origin_m == (0.0, 0.0)
+    assert run_command(["export", str(store), str(output), "--submap", "7"]) == 1
+    assert "no submap 7; there are 0, 1" in capfd.readouterr().err
+
+
+def test_what_is_damaged_in_a_store_is_said_and_the_file_is_left_as_it_is(
+    store: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Export mends nothing."""
+    broken = bytearray(store.read_bytes())
+    broken[broken.index(b"\x28\xb5\x2f\xfd") + 30] ^= 1  # in a zstd frame: the body of a tile
+    store.write_bytes(broken)
+    assert run_command(["export", str(store), str(store.with_name("out.npz"))]) == 0
+    assert "1 damaged" in capfd.readouterr().err
+    assert store.read_bytes()[100:] == broken[100:]
+
+
+def test_a_store_in_use_is_left_alone(store: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """The running service has it."""
+    owner, _ = open_store(store)
+    assert run_command(["export", str(store), str(store.with_name("out.npz"))]) == 1
+    assert "in use by another process" in capfd.readouterr().err
+    owner.close()
+
+
+def run_example(name: str, *arguments: object) -> str:
+    """What an example prints; it knows nothing of this project's code."""
+    path = EXAMPLES / name
+    assert not re.search(r"^(from|import) (drivers|estimator|mapper|service|simulator)\b", path.read_text(), re.M)
+    done = subprocess.run([sys.executable, path, *map(str, arguments)], capture_output=True, text=True, check=True)
+    return done.stdout
+
+
+def test_the_example_reads_a_saved_map_with_numpy_alone(map_file: Path) -> None:
+    """Cells, widths, and the bounds at a place."""
+    assert "5 cells of 5 cm" in run_example("read_saved_map.py", map_file)
+    assert "between 0.100 and 0.150 m" in run_example("read_saved_map.py", map_file, 1.07, 2.01)
+    assert "nothing was seen" in run_example("read_saved_map.py", map_file, 99, 99)
+
+
+def test_the_example_decodes_a_tile_by_its_description_alone(tmp_path: Path) -> None:
+    """A payload as it is published, and as it lies in the store."""
+    low = np.full((64, 64), np.nan, np.float32)
+    low[2, 1] = 0.5
+    flags = ~np.isnan(low)
+    (tmp_path / "tile.bin").write_bytes(encode(Tile(0, -1, 2, 0.1, low, low + np.float32(0.25), flags), "map", 0))
+    said = run_example("decode_tile.py", tmp_path / "tile.bin")
+    assert "low corner (-6.4, 12.8) m, cells of 0.1 m: 1 seen" in said
+    assert "2 1 elevation_min 0.5 elevation_max 0.75 surely_hit 1" in said
