@@ -106,6 +106,11 @@ class _Account:
     blind_to: str = ""
     whole: bool = True
 
+    @property
+    def contradicted(self) -> bool:
+        """Is more needed than declared?"""
+        return self.needed > self.declared * (1.0 + ROUNDING)
+
 
 @dataclass(slots=True)
 class Ledger:
@@ -123,9 +128,7 @@ class Ledger:
         So one bound that is too small is not blamed on all the others.
         """
         account = self.accounts[key]
-        if account.needed <= account.declared * (1.0 + ROUNDING):
-            return account.declared
-        return max(account.needed, account.seen)
+        return max(account.needed, account.seen) if account.contradicted else account.declared
 
     def charge(
         self,

@@ -84,6 +84,8 @@ def weigh_fixes(
                     worst=f"{name}: two fixes {{}} m apart, the tracks ran less",
                     given=(SLIP, QUANTISATION),
                 )
+        if any(ledger.accounts[key].contradicted for key in np.unique(keys)):
+            continue  # whose fault the distance is, is settled
         reach, error = np.linalg.norm(pairs.apart, axis=1), np.linalg.norm(both, axis=1) + aside
         long = pairs.least_way > SHORTEST_WAY_M
         most, least = np.maximum(pairs.most_way, 1e-9), np.maximum(pairs.least_way, 1e-9)
