@@ -2,12 +2,10 @@
 
     python -m bench.pose_sets [--seconds S] [--seeds N] [--laws ...] [--methods ...]
 
-The reference's set stands in the world. Ours stands in the map frame, and the map frame's place on Earth is a set of
-its own, so two boxes are measured of each of our filters:
+Two boxes are measured of each of our filters:
 
     map       the pose in the map frame, as it goes into the cells
-    on Earth  anchor and pose composed: t + Rz(anchor yaw) p, yaw + anchor yaw. Composing boxes forgets how anchor
-              and pose hang together, so this box is wider than what is known; it is what a user on Earth can compute
+    Earth     the pose in ENU at the first fix (`pose_on_earth`), the reference's world frame
 """
 
 import argparse
@@ -26,10 +24,8 @@ from bench.baselines.ekf import ExtendedKalmanFilter
 from bench.machine import heading
 from bench.pose_scenario import FILTER, GPS_CLASSES, IMU, ROBOT, GpsClass, devices, reference_world
 from drivers.samples import Fix, InertialSample, WheelTicks
-from estimator.bounded_pose import Anchor
 from estimator.config import FilterConfig
 from estimator.filter import Filter
-from estimator.frames import turned
 from simulator.sample_stream import sample_stream
 from simulator.world import World
 
@@ -58,9 +54,9 @@ PAGE = Path(__file__).with_name("POSE_SETS.md")
 PAGE_TEXT = """Long drives over open ground by SMF section 13's robot, with its declared bounds: slip 5 %, lateral 2 %
 and 0.10 m of turning centre, normal 2 %, gyroscope bias 0.3 deg/s (every axis), noise 0.1 deg/s, scale 0.5 %, tilt 1
 degree, accelerometers 0.07 g; 50 Hz, tilt at 10 Hz, GPS at 1 Hz without velocity, no latency, no standstill.
-Half-widths are means over time, from 30 s on. `map` is the pose in the map frame, as it goes into the cells; `Earth`
-is the map frame's place on Earth (the anchor, a set of its own) composed with it, the like of the reference's world
-frame, but wider than what is known, since boxes forget how the two hang together. `outside`: true poses outside their
+Half-widths are means over time, from 30 s on. `map` is the pose in the map frame, as it goes into the cells (its x, y,
+z and yaw are zero where the drive began, so a place is known against the start); `Earth` is the pose in ENU at the
+first fix, the like of the reference's world frame. `outside`: true poses outside their
 box, of those checked. CPU time of one step (inertial packet, counts, a fifth of a tilt reading, a fiftieth of a
 fix), in one thread of a machine with other work.
 
@@ -98,34 +94,22 @@ class SetFilter:
             self.filter.accept(reading)
 
     def boxes(self, now_ns: int) -> dict[str, tuple[Array, Array]] | None:
-        """In the map frame, and composed with the anchor."""
+        """In the map frame, and on Earth."""
         pose, anchor = self.filter.pose_over(now_ns, now_ns), self.filter.anchor
         if pose is None:
             return None
         boxes = {"map": (pose.low, pose.high)}
-        if anchor is not None:
-            boxes["Earth"] = on_earth(anchor, pose.low, pose.high, self._origin)
+        placed = self.filter.pose_on_earth(now_ns, now_ns)
+        if anchor is not None and placed is not None:
+            first_fix = anchor.origin_lat_deg, anchor.origin_lon_deg, anchor.origin_alt_m
+            shift = np.append(pymap3d.geodetic2enu(*first_fix, *self._origin), np.zeros(3))
+            boxes["Earth"] = placed.low + shift, placed.high + shift
         return boxes
 
     @property
     def voided(self) -> bool:
         """Called its guarantee void."""
         return not self.filter.guarantee.intact
-
-
-def on_earth(anchor: Anchor, low: Array, high: Array, origin: tuple[float, float, float]) -> tuple[Array, Array]:
-    """The pose box in ENU at `origin` (WGS-84): the anchor's box and the pose's composed."""
-    shift = pymap3d.geodetic2enu(anchor.origin_lat_deg, anchor.origin_lon_deg, anchor.origin_alt_m, *origin)
-    ahead, left = turned(
-        (float(anchor.low[3]), float(anchor.high[3])),
-        (float(low[0]), float(high[0])),
-        (float(low[1]), float(high[1])),
-    )
-    moved = np.array([ahead, left, (low[2], high[2])]).T + np.array([anchor.low[:3], anchor.high[:3]]) + np.array(shift)
-    return (
-        np.concatenate([moved[0], low[3:5], [low[5] + anchor.low[3]]]),
-        np.concatenate([moved[1], high[3:5], [high[5] + anchor.high[3]]]),
-    )
 
 
 class Ekf:

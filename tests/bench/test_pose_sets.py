@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from bench.pose_scenario import GPS_CLASSES
-from bench.pose_sets import Score, on_earth, race
-from estimator.bounded_pose import Anchor
+from bench.pose_sets import Score, race
 
 
 @pytest.mark.parametrize("law", ["constant", "mixed"])
@@ -32,12 +31,3 @@ def test_a_box_beside_the_truth_is_counted() -> None:
     turn = np.array([0, 0, 0, 0, 0, 2 * np.pi])
     score.check("map", truth - 0.1 + turn, truth + 0.1 + turn, truth)
     assert score.violations["map"] == 0
-
-
-def test_anchor_and_pose_compose_to_the_place_on_earth() -> None:
-    """Exact boxes give the exact pose: shifted, and turned by the anchor's yaw."""
-    anchor = Anchor(48.0, 11.0, 500.0, np.array([1.0, 2.0, 3.0, np.pi / 2]), np.array([1.0, 2.0, 3.0, np.pi / 2]))
-    pose = np.array([10.0, 0.5, 0.25, 0.1, 0.2, 0.3])
-    low, high = on_earth(anchor, pose, pose, (48.0, 11.0, 500.0))
-    np.testing.assert_allclose(low, [0.5, 12.0, 3.25, 0.1, 0.2, 0.3 + np.pi / 2], atol=1e-6)
-    np.testing.assert_allclose(high, low, atol=1e-6)
