@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 
 from drivers.config import DevicesConfig, GpsConfig, ImuConfig
 from estimator.config import FilterConfig, RobotConfig
-from service.commands.emulate import robot_model
 from service.config import load
+from service.robot_model import robot_model
 from service.shipped import shipped_config
 from simulator.errors import ErrorLaw
 from simulator.open_ground import open_ground

@@ -331,10 +331,7 @@ def _plug_in(
     paths = {name: links / name for name in DEVICES} if isinstance(links, Path) else links
     wires = []
     for name in [name for name in emulators if name in paths]:
-        if paths[name].exists() and not paths[name].is_symlink():
-            raise ConfigurationError(f"{paths[name]}: exists and is no link; name another path for the emulated port")
-        paths[name].parent.mkdir(parents=True, exist_ok=True)
-        wire = Wire(name, emulators[name], PseudoPort(paths[name]))
+        wire = Wire(name, emulators[name], plug_in(paths[name]))
         if punctual:
             # A host that is kept from reading measures how long the pty held bytes for it; ours must come in time.
             most_ns = round(1e6 * getattr(devices, name).latency_ms[1]) - READ_ALLOWANCE_NS
@@ -344,10 +341,21 @@ def _plug_in(
     return _Devices(laser, encoders, wires)
 
 
+def plug_in(link: Path) -> PseudoPort:
+    """A pseudo-terminal under this link. Raises ConfigurationError where something else has that name."""
+    if link.exists() and not link.is_symlink():
+        raise ConfigurationError(f"{link}: exists and is no link; name another path for the emulated port")
+    link.parent.mkdir(parents=True, exist_ok=True)
+    return PseudoPort(link)
+
+
 def emulate_devices(
-    world: World, devices: DevicesConfig, slice_ns: int, start_ns: int
+    world: World, devices: DevicesConfig, slice_ns: int, start_ns: int, own_messages: bool = False
 ) -> tuple[SickLmsEmulator, TrackEncodersEmulator, dict[str, Emulator]]:
-    """The robot's devices, switched on at `start_ns`: the laser, the encoders, and all of them by name."""
+    """The robot's devices, switched on at `start_ns`: the laser, the encoders, and all of them by name.
+
+    `own_messages`: the inertial board speaks those of drivers/imu/terrabound.xml.
+    """
     imu, gps = devices.imu, devices.gps
     laser = SickLmsEmulator(world.measure, start_ns=start_ns)
     encoders = TrackEncodersEmulator(
@@ -368,6 +376,7 @@ def emulate_devices(
             tilt_period_ns=SLOW_SENSOR_PERIOD_NS,
             baud=imu.baud,
             latency_ns=_latency_ns("imu", imu.latency_ms, slice_ns),
+            own_messages=own_messages,
             clock_ppm=imu.clock_drift_ppm * 0.99 * world.law.channel("imu.clock").level,
         ),
     }

@@ -4,7 +4,7 @@ import sys
 import threading
 import time
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
@@ -12,13 +12,13 @@ from cyclopts import App, Parameter, validators
 
 from drivers.clock import LockstepClock
 from drivers.errors import ConfigurationError
-from estimator.config import RobotConfig
+from service.commands.emulate_device import EXAMPLES
 from service.config import LoadedConfig, load
 from service.lifecycle import stop_on_signals
+from service.robot_model import robot_model
 from service.shipped import shipped_config
 from simulator.emulated_robot import DEVICES, Progress, print_progress, run_emulated_robot
 from simulator.errors import ErrorLaw
-from simulator.robot import RobotModel
 from simulator.terrain import build_terrain
 from simulator.world import World
 
@@ -30,12 +30,10 @@ Duration: TypeAlias = Annotated[float, Parameter(validator=validators.Number(gte
 LOCKSTEP_START_NS = 1_000_000_000_000
 """Where a virtual clock begins; any number would do."""
 
-STANDSTILL_S = 5.0
-"""Length of the drive that a single device never begins."""
-
 app = App(
     name="emulate",
     help="Emulate the robot's devices on pseudo-terminals, so that anything can be tried without hardware.",
+    help_epilogue="Start with: terrabound emulate imu --link imu, and elsewhere: terrabound listen imu imu",
 )
 
 
@@ -91,111 +89,8 @@ def robot(
     return 0
 
 
-Link: TypeAlias = Annotated[Path, Parameter(help="Symbolic link to make; open it as the device's port.")]
-Declared: TypeAlias = Annotated[
-    Path | None, Parameter(help="Configuration whose bounds the emulated errors keep; by default the demo's.")
-]
-Ground: TypeAlias = Annotated[Literal["stairs", "rough", "ramp", "flat"], Parameter(help="What the robot stands on.")]
-Seed: TypeAlias = Annotated[int, Parameter(help="Of terrain and sensor errors.")]
-Errors: TypeAlias = Annotated[Law, Parameter(help="How sensor errors are drawn inside their declared bounds.")]
-
-
-@app.command
-def lms(
-    *,
-    link: Link = Path("laser"),
-    config: Declared = None,
-    scene: Ground = "rough",
-    seed: Seed = 1,
-    errors: Errors = "uniform",
-) -> int:
-    """A SICK LMS221 on a pseudo-terminal: starts at 9600 baud, strict about its protocol.
-
-    Its robot stands still. Until Ctrl-C. Hear it with `terrabound listen lms laser`.
-    """
-    return _device("laser", link, config, scene, seed, errors)
-
-
-@app.command
-def encoders(
-    *,
-    link: Link = Path("encoders"),
-    config: Declared = None,
-    scene: Ground = "rough",
-    seed: Seed = 1,
-    errors: Errors = "uniform",
-) -> int:
-    """Track encoders behind an slcan adapter on a pseudo-terminal: message TRACKS, counters LEFT and RIGHT.
-
-    Their robot stands still. Until Ctrl-C. Hear them with
-    `terrabound listen encoders encoders --dbc tracks.dbc --left TRACKS.LEFT --right TRACKS.RIGHT`.
-    """
-    return _device("encoders", link, config, scene, seed, errors)
-
-
-@app.command
-def imu(
-    *,
-    link: Link = Path("imu"),
-    config: Declared = None,
-    scene: Ground = "rough",
-    seed: Seed = 1,
-    errors: Errors = "uniform",
-) -> int:
-    """The inertial board on a pseudo-terminal: MAVLink packets of gyroscope, two accelerometers and tilt sensor.
-
-    Its robot stands still. Until Ctrl-C. Hear it with `terrabound listen imu imu`.
-    """
-    return _device("imu", link, config, scene, seed, errors)
-
-
-@app.command
-def gps(
-    *,
-    link: Link = Path("gps"),
-    config: Declared = None,
-    scene: Ground = "rough",
-    seed: Seed = 1,
-    errors: Errors = "uniform",
-) -> int:
-    """A GPS receiver on a pseudo-terminal: NMEA sentences, ten fixes a second.
-
-    Its robot stands still. Until Ctrl-C. Hear it with `terrabound listen gps gps`.
-    """
-    return _device("gps", link, config, scene, seed, errors)
-
-
-def _device(name: str, link: Path, config: Path | None, scene: Scene, seed: int, errors: Law) -> int:
-    """One device alone, on a robot that stands still: its neighbours are not there."""
-    loaded = _loaded(config)
-    if name == "gps" and loaded.config.devices.gps is None:
-        raise ConfigurationError(f"{config}: has no [devices.gps]; a receiver's bounds must be declared to emulate it")
-    told = False
-
-    def tell(progress: Progress) -> None:
-        nonlocal told
-        if not told:
-            print(f"{name}: emulated on {link}; Ctrl-C ends it", file=sys.stderr, flush=True)
-        told = True
-
-    _emulate(loaded, {name: link}, scene, None, STANDSTILL_S, 1.0, seed, errors, None, None, tell)
-    return 0
-
-
-def robot_model(robot: RobotConfig) -> RobotModel:
-    """The emulated robot keeps what the configuration declares of the real one."""
-    return RobotModel(
-        track_length_m=robot.track_length_m,
-        track_gauge_m=robot.track_gauge_m,
-        max_speed_mps=robot.max_speed_mps,
-        max_acceleration_mps2=robot.max_acceleration_mps2,
-        max_turn_rate_dps=robot.max_turn_rate_dps,
-        max_turn_acceleration_dps2=robot.max_turn_acceleration_dps2,
-        slip_ratio=robot.slip_ratio,
-        lateral_slip_ratio=robot.lateral_slip_ratio,
-        turning_centre_m=robot.turning_centre_m,
-        normal_slip_ratio=robot.normal_slip_ratio,
-    )
+for _device, _examples in EXAMPLES.items():
+    app.command(_device, help_epilogue=_examples)
 
 
 class _Line:
@@ -215,7 +110,7 @@ def _loaded(config: Path | None) -> LoadedConfig:
 
 def _emulate(
     loaded: LoadedConfig,
-    links: Mapping[str, Path] | Path,
+    links: Path,
     scene: Scene,
     terrain: Path | None,
     duration_s: float,
@@ -259,7 +154,6 @@ def _emulate(
                 on_progress=on_progress,
                 stopping=stopping,
                 stay=clock is None,
-                punctual=not isinstance(links, Mapping),  # a device alone keeps no promise to anybody
             )
     finally:
         if clock is not None:

@@ -13,11 +13,12 @@ from pathlib import Path
 
 from drivers.clock import LockstepClock
 from drivers.errors import TerraboundError
-from service.commands.emulate import LOCKSTEP_START_NS, robot_model
+from service.commands.emulate import LOCKSTEP_START_NS
 from service.commands.evaluation import PoseSets
 from service.config import LoadedConfig, load
 from service.messages import write_pose
 from service.onboard import Onboard
+from service.robot_model import robot_model
 from service.shipped import shipped_config
 from simulator.emulated_robot import DEVICES, PluggedWires, Progress, run_emulated_robot
 from simulator.errors import ErrorLaw

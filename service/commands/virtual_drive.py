@@ -15,12 +15,12 @@ from drivers.protocol import DeviceProtocol
 from drivers.samples import Sample
 from estimator.bounded_pose import BoundedPose
 from mapper.saved_map import SavedMap, assemble
-from service.commands.emulate import robot_model
 from service.commands.evaluation import PoseSets, check_bounds
 from service.config import LoadedConfig
 from service.devices import wiring
 from service.pipeline import Pipeline
 from service.publisher import MAP_FRAME
+from service.robot_model import robot_model
 from service.sample_queue import Arrival
 from simulator.emulated_robot import SLICE_NS, as_heard, emulate_devices
 from simulator.emulators.emulator import Emulator
