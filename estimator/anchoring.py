@@ -1,6 +1,6 @@
 """GPS: where the map stands on Earth (the anchor), and what that says of the newest position."""
 
-from collections import Counter
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +10,8 @@ from drivers.samples import Fix
 from estimator.attitude import UNKNOWN_YAW, AttitudeChain
 from estimator.bounded_pose import Anchor
 from estimator.geodesy import TangentPlane
-from estimator.inconsistency import Contradictions
-from estimator.interval import down, is_empty, meet, up
+from estimator.inconsistency import Journal, least_excess
+from estimator.interval import down, meet, up
 from estimator.observations import anchored, anchored_by_all, lever, tied
 from estimator.position import ANYWHERE_M, EARTH, MAP, PositionChain
 from estimator.travelled import travelled_along, travelled_since
@@ -22,6 +22,21 @@ REMEMBER_EVERY_M = 0.4
 STANDING_FIXES = 8
 
 
+class _Narrowed(NamedTuple):
+    """A copy of what a fix may narrow."""
+
+    box: NDArray[np.float64]
+    """[6, 2] the newest place, in the map and on Earth."""
+    yaws: NDArray[np.float64]
+    """[2, 2] the newest yaw, in the map and on Earth."""
+    anchor: NDArray[np.float64]
+    """[4, 2]"""
+    points: NDArray[np.float64]
+    """[k, 3, 2] where the antenna was in the map at the remembered fixes."""
+    antenna: NDArray[np.float64]
+    """[3, 2] the fix."""
+
+
 class Anchoring:
     """The anchor (t, Ψ) as a set; every fix narrows it, and through it the position."""
 
@@ -30,12 +45,11 @@ class Anchoring:
         gps: GpsConfig | None,
         attitude: AttitudeChain,
         position: PositionChain,
-        counts: Counter[str],
-        contradictions: Contradictions,
+        journal: Journal,
     ) -> None:
         self._arm = np.array([gps.antenna_x_m, gps.antenna_y_m, gps.antenna_z_m] if gps else [0.0, 0.0, 0.0])
         self._attitude, self._position = attitude, position
-        self._counts, self._contradictions = counts, contradictions
+        self._journal = journal
         self._plane: TangentPlane | None = None
         self._antennas, self._points = np.zeros((REMEMBERED, 3, 2)), np.zeros((REMEMBERED, 3, 2))
         self._remembered = 0
@@ -51,23 +65,28 @@ class Anchoring:
         a, b = turns.before(stamp.earliest_ns), turns.after(stamp.latest_ns)
         around = turns.before(int(places.times[n, 0]))
         if i < places.begin or min(a, around) < turns.begin or b >= turns.end:
-            self._counts["fix_too_old"] += 1
+            self._journal.counts["fix_too_old"] += 1
             return
         if self._plane is None:
             self._plane = TangentPlane(fix.lat_deg, fix.lon_deg, fix.alt_m)
-        antenna = self._plane.antenna(fix)
-        box, yaws, anchor = places.box[n].copy(), turns.box[turns.newest, 2:].copy(), self._anchor.copy()
-        points = self._points.copy()
-        offset = self._offset(i, j, a, b)
-        if not (
-            self._on_earth(antenna, offset, around, yaws[1], box[EARTH])
-            and self._in_map(antenna, i, j, a, b, anchor, points, box[MAP])
-            and tied(anchor, yaws, box)
-            and self._position.contract(box, yaws)
-        ):
-            self._contradictions.report("gps", stamp.mid_ns)
+        antenna, offset = self._plane.antenna(fix), self._offset(i, j, a, b)
+        in_map = self._offset_in_map(i, j, a, b)
+
+        def narrowed(wider: float) -> _Narrowed | None:
+            now = _Narrowed(
+                places.box[n].copy(), turns.box[turns.newest, 2:].copy(), self._anchor.copy(), self._points.copy(),
+                antenna + np.array([-wider, wider]),
+            )  # fmt: skip
+            agrees = self._on_earth(now, offset, around) and self._in_map(now, in_map)
+            return now if agrees and tied(now.anchor, now.yaws, now.box) else None
+
+        now = narrowed(0.0)
+        if now is None or not self._position.contract(now.box, now.yaws):
+            excess = least_excess(lambda wider: narrowed(wider) is not None, 0.01)
+            self._journal.report("gps", stamp.mid_ns, excess, "m")
             return
-        self._anchor, self._points = anchor, points
+        self._remember(now, in_map)
+        self._anchor, self._points = now.anchor, now.points
         self._position.remember()
 
     def _offset(self, i: int, j: int, a: int, b: int) -> NDArray[np.float64]:
@@ -85,63 +104,58 @@ class Anchoring:
         )
         return _outward(arm[:, 0] - since[:, 1], arm[:, 1] - since[:, 0])
 
-    def _on_earth(
-        self,
-        antenna: NDArray[np.float64],
-        offset: NDArray[np.float64],
-        around: int,
-        yaw: NDArray[np.float64],
-        place: NDArray[np.float64],
-    ) -> bool:
-        """SMF section 7: contract yaw [2] and place [3, 2] on Earth by this fix and those of the window."""
-        turns = self._attitude.tube
-        height = meet(
-            (place[2, 0], place[2, 1]), (down(antenna[2, 0] - offset[2, 1]), up(antenna[2, 1] - offset[2, 0]))
-        )
-        place[2] = height
-        seconds = int(turns.times[around, 0]) * 1e-9, int(turns.times[turns.newest, 1]) * 1e-9
-        heading = turns.heading[turns.newest]
-        return not is_empty(height) and self._position.window.narrowed(
-            antenna[:2], offset[:2], heading, seconds, self._attitude.bias[2], self._position.quantum, yaw, place[:2]
-        )
-
-    def _in_map(
-        self,
-        antenna: NDArray[np.float64],
-        i: int,
-        j: int,
-        a: int,
-        b: int,
-        anchor: NDArray[np.float64],
-        points: NDArray[np.float64],
-        here: NDArray[np.float64],
-    ) -> bool:
-        """antenna = t + Rz(Ψ)(p(τ) + R arm), by this fix and those of the beginning: contract here [3, 2], anchor."""
+    def _offset_in_map(self, i: int, j: int, a: int, b: int) -> NDArray[np.float64]:
+        """The same along the map's axes."""
         places, arm = self._position.tube, np.empty((3, 2))
         lever(self._attitude.tube.hull(a, b), self._arm, arm)
         since = travelled_since(places.net, places.swing, i, j, places.newest)
-        offset = _outward(arm[:, 0] - since[:, 1], arm[:, 1] - since[:, 0])
+        return _outward(arm[:, 0] - since[:, 1], arm[:, 1] - since[:, 0])
+
+    def _on_earth(self, now: "_Narrowed", offset: NDArray[np.float64], around: int) -> bool:
+        """SMF section 7: contract yaw and place on Earth by this fix and those of the window."""
+        turns, place = self._attitude.tube, now.box[EARTH]
+        seen = down(now.antenna[2, 0] - offset[2, 1]), up(now.antenna[2, 1] - offset[2, 0])
+        place[2] = meet((place[2, 0], place[2, 1]), seen)
+        if place[2, 0] > place[2, 1]:
+            return False
+        seconds = int(turns.times[around, 0]) * 1e-9, int(turns.times[turns.newest, 1]) * 1e-9
+        return self._position.window.narrowed(
+            now.antenna[:2], offset[:2], turns.heading[turns.newest], seconds, self._attitude.bias[2],
+            self._position.quantum, now.yaws[1], place[:2],
+        )  # fmt: skip
+
+    def _in_map(self, now: "_Narrowed", offset: NDArray[np.float64]) -> bool:
+        """antenna = t + Rz(Ψ)(p(τ) + R arm), by this fix and those of the beginning: contract place and anchor."""
+        here = now.box[MAP]
         point = _outward(here[:, 0] + offset[:, 0], here[:, 1] + offset[:, 1])
-        if not anchored_by_all(self._antennas, points, self._remembered, anchor):
+        if not anchored_by_all(self._antennas, now.points, self._remembered, now.anchor):
             return False
-        if not anchored(antenna, anchor, point):
+        if not anchored(now.antenna, now.anchor, point):
             return False
-        self._remember(antenna, point, points)
         seen = _outward(point[:, 0] - offset[:, 1], point[:, 1] - offset[:, 0])
         here[:, 0], here[:, 1] = np.maximum(here[:, 0], seen[:, 0]), np.minimum(here[:, 1], seen[:, 1])
         return bool(np.all(here[:, 0] <= here[:, 1]))
 
-    def _remember(self, antenna: NDArray[np.float64], point: NDArray[np.float64], points: NDArray[np.float64]) -> None:
+    def _remember(self, now: "_Narrowed", offset: NDArray[np.float64]) -> None:
         """Keep the first fixes for later: where the robot stood at first, then one every little way."""
         k = self._remembered
         if k == REMEMBERED:
             return
+        here = now.box[MAP]
+        point = _outward(here[:, 0] + offset[:, 0], here[:, 1] + offset[:, 1])
         if k >= STANDING_FIXES:
-            way = np.abs(np.mean(point - points[k - 1], axis=1))
+            way = np.abs(np.mean(point - now.points[k - 1], axis=1))
             if max(way[0], way[1]) < REMEMBER_EVERY_M:
                 return
-        self._antennas[k], points[k] = antenna, point
+        self._antennas[k], now.points[k] = now.antenna, point
         self._remembered += 1
+
+    def join(self, other: "Anchoring") -> None:
+        """Grow to the hull of both; the fixes of the beginning are forgotten."""
+        self._plane = self._plane or other._plane
+        low, high = (np.stack([self._anchor[:, k], other._anchor[:, k]]) for k in range(2))
+        self._anchor = np.stack([low.min(axis=0), high.max(axis=0)], axis=1)
+        self._remembered = 0
 
     def anchor(self) -> Anchor | None:
         """Where the map frame stands on Earth; None before the first fix."""
@@ -149,7 +163,7 @@ class Anchoring:
             return None
         plane = self._plane
         low, high = self._anchor[:, 0].copy(), self._anchor[:, 1].copy()
-        return Anchor(plane.lat_deg, plane.lon_deg, plane.alt_m, low, high, self._contradictions.guarantee)
+        return Anchor(plane.lat_deg, plane.lon_deg, plane.alt_m, low, high)
 
 
 def _outward(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -3,7 +3,6 @@
 Yaw is kept twice, counted from the map's x axis and from east (rows MAP_YAW and EARTH_YAW): the anchor's yaw ties them.
 """
 
-from collections import Counter
 from math import isnan, radians
 
 import numpy as np
@@ -13,7 +12,7 @@ from drivers.config import ImuConfig
 from drivers.samples import InertialSample, Stamp
 from estimator.config import FilterConfig, RobotConfig
 from estimator.gyro_packets import GyroPackets, Packet
-from estimator.inconsistency import Contradictions
+from estimator.inconsistency import Journal, least_excess
 from estimator.interval import Interval, is_empty, meet, up, widen
 from estimator.motion import QUANTUM, GyroBounds, add_effort, excursion, relative_yaw_between, rotate, turn
 from estimator.observations import contract_tilt
@@ -39,8 +38,7 @@ class AttitudeChain:
         robot: RobotConfig,
         config: FilterConfig,
         imu: ImuConfig,
-        counts: Counter[str],
-        contradictions: Contradictions,
+        journal: Journal,
     ) -> None:
         self.gyro = GyroBounds(
             noise=up(radians(imu.gyro_noise_bound_dps)),
@@ -53,9 +51,9 @@ class AttitudeChain:
         self._tilt_bound = up(radians(imu.tilt_bound_deg))
         self._accel_bound = up(imu.accel_bound_mps2 + robot.max_acceleration_mps2)
         self._still_rate = up(radians(config.standstill_rate_dps))
-        self._counts, self._contradictions = counts, contradictions
+        self._journal = journal
         self.tube = Tube(int(config.history_s * 1e9), coordinates=4)
-        self.packets = GyroPackets(imu.clock_drift_ppm, counts, contradictions)
+        self.packets = GyroPackets(imu.clock_drift_ppm, journal)
         self.bias = np.array([[-self.gyro.most_bias, self.gyro.most_bias]] * 3)
         self.level = False
         """Is the newest attitude a verified box?"""
@@ -76,7 +74,7 @@ class AttitudeChain:
         turned, varied, swing, plain = self._turned, self._varied, self._swing, self._plain
         rate = np.array(sample.gyro_rps)
         if not rotate(rate, self.bias, elapsed.least_s, elapsed.most_s, elapsed.gap, self.gyro, turned, varied, plain):
-            self._contradictions.report("gyro", sample.stamp.mid_ns)
+            self._journal.report("gyro", sample.stamp.mid_ns, self._too_fast(rate), "rad/s")
         newest = self.tube.newest
         box, heading = self.tube.box[newest].copy(), self.tube.heading[newest].copy()
         was_level = self.level
@@ -88,11 +86,16 @@ class AttitudeChain:
             self.tube.box[i, 2:] = box[2:]
             heading[2] += LOST_YAW
             if was_level:
-                self._counts["attitude_lost"] += 1
+                self._journal.counts["attitude_lost"] += 1
                 yaw = 0.5 * (box[2:, 0] + box[2:, 1])
                 self.tube.box[i, 2:, 0] = np.minimum(box[2:, 0], yaw - UNKNOWN_YAW)
                 self.tube.box[i, 2:, 1] = np.maximum(box[2:, 1], yaw + UNKNOWN_YAW)
         self.tube.heading[i] = heading
+
+    def _too_fast(self, rate: NDArray[np.float64]) -> float:
+        """By how much a packet's rate is beyond the declared one, bias left out."""
+        most = self.gyro.most_rate * (1.0 + self.gyro.scale) + self.gyro.most_bias + self.gyro.noise
+        return max(0.0, float(np.nanmax(np.abs(rate))) - most)
 
     def _append(self, sample: InertialSample, stamp: Stamp, varied: NDArray[np.float64]) -> int:
         """A node whose tilt is not known yet."""
@@ -130,16 +133,22 @@ class AttitudeChain:
             return False
         earlier, newest = around
         if earlier is None:
-            self._counts["tilt_too_early"] += 1
+            self._journal.counts["tilt_too_early"] += 1
             return True
         i = self.tube.newest
-        outcome = contract_tilt(
-            self.tube.box[i], self.level, *sample.tilt_rad, self._tilt_bound, *sample.accel_mps2[:2],
-            self._accel_bound, newest.effort, earlier.effort,
-        )  # fmt: skip
+        by_tilt = not all(map(isnan, sample.tilt_rad))
+
+        def contracted(box: NDArray[np.float64], wider: float) -> int:
+            return contract_tilt(
+                box, self.level, *sample.tilt_rad, self._tilt_bound + wider, *sample.accel_mps2[:2],
+                self._accel_bound + (0.0 if by_tilt else wider), newest.effort, earlier.effort,
+            )  # fmt: skip
+
+        outcome = contracted(self.tube.box[i], 0.0)
         if outcome == CONTRADICTS:
-            by_tilt = not all(isnan(angle) for angle in sample.tilt_rad)
-            self._contradictions.report("tilt" if by_tilt else "accelerometer", sample.stamp.mid_ns)
+            excess = least_excess(lambda wider: contracted(self.tube.box[i].copy(), wider) != CONTRADICTS, 1e-3)
+            sensor, unit = ("tilt", "rad") if by_tilt else ("accelerometer", "m/s^2")
+            self._journal.report(sensor, sample.stamp.mid_ns, excess, unit)
         if outcome != DONE:
             return True
         if not self.level:
@@ -181,9 +190,21 @@ class AttitudeChain:
                 continue
             narrowed = meet((self.bias[axis, 0], self.bias[axis, 1]), widen((rate, rate), error))
             if is_empty(narrowed):
-                self._contradictions.report("gyro", packet.stamp.mid_ns)
+                off = max(0.0, narrowed[0] - narrowed[1])
+                self._journal.report("gyro", packet.stamp.mid_ns, off, "rad/s")
             else:
                 self.bias[axis] = narrowed
+
+    def join(self, other: "AttitudeChain") -> None:
+        """Grow to the hull of both chains, which have the same newest nodes; yaw before is not related to yaw after."""
+        k = self.tube.join(other.tube)
+        self.bias = np.stack(
+            [np.minimum(self.bias[:, 0], other.bias[:, 0]), np.maximum(self.bias[:, 1], other.bias[:, 1])], axis=1
+        )
+        self.level = self.level and other.level
+        self.tube.heading[self.tube.end - k : self.tube.end, 2] += LOST_YAW * np.arange(1, k + 1)
+        if len(self.packets):
+            self.packets.begin_anew(self.tube.effort[self.tube.newest].copy())
 
     # ---------------------------------------------------------------- the beginning
 
@@ -195,9 +216,9 @@ class AttitudeChain:
         tube = self.tube
         oldest = int(tube.times[tube.begin, 1])
         if stamp.earliest_ns < oldest:
-            moved = self._counts["encoders_before_attitude"] > 0
+            moved = self._journal.counts["encoders_before_attitude"] > 0
             if moved or oldest - stamp.earliest_ns > LONGEST_BRIDGE_NS or len(self.packets) < 2:
-                self._counts["encoders_before_attitude"] += 1
+                self._journal.counts["encoders_before_attitude"] += 1
                 return None
             self._bridge(stamp.earliest_ns, oldest)
         a, b = tube.before(stamp.earliest_ns), tube.after(stamp.latest_ns)

@@ -1,12 +1,24 @@
 """A pose known as a set: the outer box of all poses the robot may have had during a stretch of time."""
 
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 """Order of the six axes everywhere: metres in the map frame, then radians of R = Rz(yaw) Ry(pitch) Rx(roll)."""
+
+
+class Status(StrEnum):
+    """On whose word the pose set stands."""
+
+    NOMINAL = "NOMINAL"
+    """Of all sensors."""
+    DEGRADED = "DEGRADED"
+    """Each of the suspects in turn is left out."""
+    LOST = "LOST"
+    """No single sensor explains what was measured: on the declared limits of the robot's motion alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,7 +28,15 @@ class Guarantee:
     void_since_ns: int | None = None
     """Host time of the first contradiction; None while intact."""
     sensor: str | None = None
-    """Who contradicted, as `gps` or `tilt`."""
+    """Who contradicted, as `gps` or `tilt`: the likeliest of the suspects."""
+    excess: float | None = None
+    """By how much its bound would have to be wider for its measurement to agree."""
+    unit: str | None = None
+    """Of the excess."""
+    status: Status = Status.NOMINAL
+    """Now."""
+    restored_ns: int | None = None
+    """Since when the pose holds again, if the last fault was over by then (docs/faults.md); cells may be older."""
 
     @property
     def intact(self) -> bool:

@@ -45,5 +45,9 @@ class FilterConfig:
     """Tracks without a tick for this long: the robot is declared to stand still. None: never."""
     standstill_rate_dps: NotNegative = 0.02
     """Body rate that a standing robot may still have (vibration)."""
+    fault_start_s: Annotated[float, Field(gt=0, le=60)] = 3.0
+    """A sensor that breaks its bound contradicts the others this soon; what was said meanwhile is then in doubt."""
+    fault_length_s: Annotated[float, Field(gt=0, le=600)] = 10.0
+    """... and keeps its bound again after so long; until then it is not believed."""
     history_s: Annotated[float, Field(gt=0, le=600)] = 5.0
     """How long past poses are kept for scans that wait."""

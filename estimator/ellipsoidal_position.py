@@ -9,7 +9,7 @@ Earth; after the attitude was lost) there is no ellipsoid, and the boxes go on, 
 from them. So the set stays finite whatever happens: it never grows by more than the way that the robot can have come.
 """
 
-from collections import Counter
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from estimator.config import FilterConfig, RobotConfig
 from estimator.ellipsoid import EMPTY, Ellipsoid, box, extent, half_width, meet_axis
 from estimator.ellipsoidal_motion import BIAS, UNITS, YAW, HeadingStep, X, Y, memory, travel_ellipsoid
 from estimator.gps_window import GpsWindow
-from estimator.inconsistency import Contradictions
+from estimator.inconsistency import Journal
 from estimator.interval import ULP, Interval, add, meet, mid, reach, sub, up, widen
 from estimator.motion import TrackBounds, Tracked, relative_yaw, relative_yaw_between, tracked
 from estimator.position import ANYWHERE_M, EARTH, MAP, PositionChain, Step, surround
@@ -67,10 +67,9 @@ class EllipsoidalPosition(PositionChain):
         config: FilterConfig,
         encoders: EncodersConfig,
         attitude: AttitudeChain,
-        counts: Counter[str],
-        contradictions: Contradictions,
+        journal: Journal,
     ) -> None:
-        super().__init__(robot, config, encoders, attitude, counts, contradictions)
+        super().__init__(robot, config, encoders, attitude, journal)
         self.window = NewestFixOnly(attitude.gyro.bias_drift)
         self.sets = (PlanarSet(MAP.start, MAP_YAW), PlanarSet(EARTH.start, EARTH_YAW))
 
@@ -101,7 +100,7 @@ class EllipsoidalPosition(PositionChain):
                 one.set, one.kept, turns.heading, turns.swing, before, start, after, bias, aged, step.attitude,
                 way, step.telescoped, self.tracks, first or one.first,
             ):  # fmt: skip
-                self._contradictions.report("gyro", ticks.stamp.mid_ns)
+                self._journal.report("gyro", ticks.stamp.mid_ns, inf, "rad/s")
             one.first = False
         self._show(after)
         self._begin_sets(after)
@@ -126,6 +125,12 @@ class EllipsoidalPosition(PositionChain):
         here = self.tube.box[self.tube.newest]
         here[:, 0], here[:, 1] = np.maximum(here[:, 0], narrowed[:, 0]), np.minimum(here[:, 1], narrowed[:, 1])
         return True
+
+    def join(self, other: PositionChain) -> None:
+        """Grow to the hull of both chains; the ellipsoids begin anew from the boxes."""
+        super().join(other)
+        for one in self.sets:
+            one.set = None
 
     def _gyro_node(self) -> int:
         """Index of the node at which the ellipsoids' yaw stands: the first one after the newest reading."""
@@ -165,7 +170,7 @@ class EllipsoidalPosition(PositionChain):
             )  # fmt: skip
             surround(self._core[rows], self._pending[rows], self.tube.box[here, rows])
             if half_width(one.set, YAW) > WIDEST_YAW:
-                self._counts["ellipsoid_let_go"] += 1
+                self._journal.counts["ellipsoid_let_go"] += 1
                 self._let_go(one, self._pending.copy())
 
     def _let_go(self, one: PlanarSet, undone: NDArray[np.float64]) -> None:

@@ -1,41 +1,42 @@
-"""The set-membership pose filter: samples in, a box that surely holds the pose out.
+"""The set-membership pose filter: samples in, a box that surely holds the pose out, and what it does when that fails.
 
-Two chains of nodes, each on its own unknown-but-bounded time base, so that the uncertainty of a stamp never adds up:
-
-    attitude   a node per gyro packet       (roll, pitch, yaw), and the gyro's bias box
-    position   a node per encoder reading   (x, y, z), the attitude taken from the other chain's tube
-
-    predict    gyro packet: rotate -> turn                     encoder reading: travel
-    correct    tilt, accelerometers -> the newest attitude;    standstill -> bias;    GPS -> position and anchor
-
-Map frame: gravity aligned, x = y = z = yaw = 0 at the true time of the first encoder reading (of the first one that
-the attitude chain reaches). Times are host monotonic ns and come with the samples.
+While no measurement contradicts the others there is one pose set, on the word of all sensors (estimator/pose_set.py).
+Checkpoints of it, and the samples since, are kept for a while. A contradiction proves that a bound is broken. Then
+each sensor that may have broken it is tried as its only explanation: the checkpoint is driven again without that
+sensor. Hypotheses that contradict themselves are cleared; the rest go on side by side, the pose is the hull of all,
+and after `fault_length_s` the sensor is believed again. What that guarantees stands in docs/faults.md.
 """
 
 from collections import Counter, deque
-from math import isfinite, isnan, nan
+from collections.abc import Iterable
+from dataclasses import replace
+from math import nan
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.config import EncodersConfig, GpsConfig, ImuConfig
 from drivers.samples import Fix, InertialSample, WheelTicks
-from estimator.anchoring import Anchoring
-from estimator.attitude import EARTH_YAW, AttitudeChain
-from estimator.bounded_pose import Anchor, BoundedPose, Guarantee
+from estimator.bounded_pose import INTACT, Anchor, BoundedPose, Guarantee, Status
 from estimator.config import FilterConfig, RobotConfig
-from estimator.ellipsoidal_position import EllipsoidalPosition
-from estimator.inconsistency import Contradictions
-from estimator.position import EARTH, PositionChain
-from estimator.standstill import Standstill
-from estimator.tube import poses_between
+from estimator.inconsistency import SENSORS, SUSPECTS, Contradiction
+from estimator.pose_set import PoseSet
 
-PENDING = 4096
-"""Samples that may wait for the chain they depend on; the oldest are dropped."""
+Reading: TypeAlias = WheelTicks | InertialSample | Fix
+EVERY_SENSOR = frozenset(SENSORS)
+MOST_FAULTS = 256
+"""So many of the newest faults are remembered."""
 
 
-POSITION_CHAINS: dict[str, type[PositionChain]] = {"box": PositionChain, "ellipsoid": EllipsoidalPosition}
-"""The sets a pose can be kept as."""
+class Fault(NamedTuple):
+    """One contradiction and what explains it."""
+
+    contradiction: Contradiction
+    sensor: str
+    """The likeliest of the suspects."""
+    suspects: tuple[str, ...]
+    """Each of these alone explains all measurements; none: it takes more than one."""
 
 
 class Filter:
@@ -50,88 +51,109 @@ class Filter:
         gps: GpsConfig | None,
     ) -> None:
         self.counts: Counter[str] = Counter()
-        self._contradictions = Contradictions(self.counts)
-        self._attitude = AttitudeChain(robot, config, imu, self.counts, self._contradictions)
-        chain = POSITION_CHAINS[config.set]
-        self._position = chain(robot, config, encoders, self._attitude, self.counts, self._contradictions)
-        self._standstill = Standstill(config.standstill_s, self._attitude)
-        self._anchoring = Anchoring(gps, self._attitude, self._position, self.counts, self._contradictions)
-        self._tilts: deque[InertialSample] = deque(maxlen=PENDING)
-        self._ticks: deque[WheelTicks] = deque(maxlen=PENDING)
-        self._fixes: deque[Fix] = deque(maxlen=PENDING)
+        self.faults: deque[Fault] = deque(maxlen=MOST_FAULTS)
+        """The newest last."""
+        self.guarantee: Guarantee = INTACT
+        """Intact until measurements contradict their bounds; then void since the first of them."""
+        self._start_ns = round(config.fault_start_s * 1e9)
+        self._length_ns = round(config.fault_length_s * 1e9)
+        self._hypotheses = [PoseSet(robot, config, encoders, imu, gps, self.counts)]
+        self._until_ns: int | None = None
+        """While a fault lasts: when its sensor is believed again."""
+        self._now_ns = 0
+        self._older = self._newer = self._hypotheses[0].copy(Counter())
+        self._newer_ns: int | None = None
+        self._before_newer: list[Reading] = []
+        self._since_newer: list[Reading] = []
 
     # ---------------------------------------------------------------- samples in
 
-    def accept(self, sample: WheelTicks | InertialSample | Fix) -> None:
+    def accept(self, sample: Reading) -> None:
         """Take one sample. One that comes out of order, or can't be used, is dropped and counted."""
-        if isinstance(sample, InertialSample):
-            if not all(map(isnan, sample.gyro_rps)):
-                self._attitude.predict(sample)
-            if not (all(map(isnan, sample.tilt_rad)) and all(map(isnan, sample.accel_mps2[:2]))):
-                self._queue(self._tilts, sample)
-            while self._tilts and self._attitude.correct_tilt(self._tilts[0]):
-                self._tilts.popleft()
-        elif isinstance(sample, WheelTicks):
-            self._take_in_order(sample)
-        elif all(map(isfinite, (sample.lat_deg, sample.lon_deg, sample.alt_m, *sample.bound_m))):
-            self._queue(self._fixes, sample)
+        self._now_ns = max(self._now_ns, sample.stamp.mid_ns)
+        self._since_newer.append(sample)
+        for poses in self._hypotheses:
+            poses.accept(sample)
+        contradicted = [poses for poses in self._hypotheses if poses.journal.contradiction is not None]
+        if contradicted:
+            self._explain(contradicted)
+        elif self._until_ns is not None and self._now_ns >= self._until_ns:
+            self._believe_again()
+        if self._until_ns is None and (self._newer_ns is None or self._now_ns - self._newer_ns >= self._start_ns):
+            self._checkpoint()
+
+    def _checkpoint(self) -> None:
+        """The newest pose set becomes one to come back to; the older of the two that are kept goes."""
+        self._older, self._newer = self._newer, self._hypotheses[0].copy(Counter())
+        self._before_newer, self._since_newer = self._since_newer, []
+        self._newer_ns = self._now_ns
+
+    # ---------------------------------------------------------------- faults
+
+    def _explain(self, contradicted: list[PoseSet]) -> None:
+        """Clear the hypotheses that contradict themselves; where none is left, try every sensor as the one to blame."""
+        found = contradicted[0].journal.contradiction
+        assert found is not None
+        left = [poses for poses in self._hypotheses if poses not in contradicted]
+        first = self._until_ns is None
+        if not left and first:
+            left = self._without_each(SUSPECTS[found.sensor])
+        if not left:
+            left = [self._driven_again(EVERY_SENSOR)]
+        self._hypotheses = left
+        left[0].journal.counts = self.counts
+        suspects = tuple(sensor for poses in left for sensor in poses.ignored if poses.ignored != EVERY_SENSOR)
+        fault = Fault(found, likeliest(found.sensor, suspects), suspects)
+        self.faults.append(fault)
+        self.counts["faults"] += 1
+        status = Status.DEGRADED if suspects else Status.LOST
+        if first or not suspects:
+            self._until_ns = self._now_ns + self._length_ns
+        if self.guarantee.intact:
+            self.guarantee = Guarantee(found.time_ns, fault.sensor, found.excess, found.unit, status)
         else:
-            self.counts["fix_unusable"] += 1
-        while self._ticks and self._attitude.tube.reaches(self._ticks[0].stamp.latest_ns) and self._may_travel():
-            self._travel(self._ticks.popleft())
-        while self._fixes and self._position.tube.reaches(self._fixes[0].stamp.latest_ns):
-            self._anchoring.correct(self._fixes.popleft())
+            self.guarantee = replace(self.guarantee, status=status, restored_ns=None)
 
-    def _take_in_order(self, ticks: WheelTicks) -> None:
-        """Readings go back neither in their middles nor surely."""
-        newest = self._ticks[-1] if self._ticks else self._position.last_ticks
-        if newest is not None and (
-            ticks.stamp.mid_ns < newest.stamp.mid_ns or ticks.stamp.latest_ns < newest.stamp.earliest_ns
-        ):
-            self.counts["encoders_out_of_order"] += 1
-        else:
-            self._queue(self._ticks, ticks)
+    def _without_each(self, sensors: Iterable[str]) -> list[PoseSet]:
+        """The pose sets that one sensor less makes consistent."""
+        driven = [self._driven_again(frozenset({sensor})) for sensor in sensors]
+        return [poses for poses in driven if poses.journal.contradiction is None]
 
-    def _queue(self, queue: "deque[InertialSample] | deque[WheelTicks] | deque[Fix]", sample: object) -> None:
-        """Wait in a bounded queue."""
-        if len(queue) == queue.maxlen:
-            self.counts["dropped_waiting"] += 1
-        queue.append(sample)  # type: ignore[arg-type]  # each queue is given its own kind
+    def _driven_again(self, ignored: frozenset[str]) -> PoseSet:
+        """From the older checkpoint to now without the word of some sensors, or to the first contradiction."""
+        poses = self._older.copy(Counter(), ignored)
+        for samples in (self._before_newer, self._since_newer):
+            for sample in samples:
+                poses.accept(sample)
+                if poses.journal.contradiction is not None:
+                    return poses
+        return poses
 
-    def _may_travel(self) -> bool:
-        """Once positions have begun, always; they then bear an unknown attitude too."""
-        return self._attitude.level or len(self._position.tube) > 0
-
-    def _travel(self, ticks: WheelTicks) -> None:
-        """The map begins at the first reading; then each is a node further."""
-        if self._position.last_ticks is None and not self._position.begin(ticks):
-            return
-        self._standstill.watch(ticks)
-        if self._position.last_ticks is not ticks:
-            self._position.predict(ticks)
+    def _believe_again(self) -> None:
+        """The fault is taken to be over: one pose set again, on the word of all sensors."""
+        poses = self._hypotheses[0]
+        for other in self._hypotheses[1:]:
+            poses.join(other)
+        poses.ignored = frozenset()
+        self._hypotheses = [poses]
+        self._until_ns = None
+        self.guarantee = replace(self.guarantee, status=Status.NOMINAL, restored_ns=self._now_ns)
+        self._checkpoint()
+        self._older, self._before_newer = self._newer, []
 
     # ---------------------------------------------------------------- poses out
 
     @property
-    def guarantee(self) -> Guarantee:
-        """Intact until measurements contradicted their bounds."""
-        return self._contradictions.guarantee
-
-    @property
     def horizon_ns(self) -> int | None:
         """Poses can be given for stretches of time that end by here."""
-        if not self._attitude.zeroed:
-            return None
-        places, turns = self._position.tube, self._attitude.tube
-        return int(min(places.times[places.newest, 0], turns.times[turns.newest, 0]))
+        ends = [poses.horizon_ns for poses in self._hypotheses]
+        return min((end for end in ends if end is not None), default=None) if None not in ends else None
 
     @property
     def oldest_ns(self) -> int | None:
         """... and that begin no earlier than here."""
-        if not self._attitude.zeroed:
-            return None
-        places, turns = self._position.tube, self._attitude.tube
-        return int(max(places.times[places.begin, 1], turns.times[turns.begin, 1]))
+        begins = [poses.oldest_ns for poses in self._hypotheses]
+        return max((begin for begin in begins if begin is not None), default=None) if None not in begins else None
 
     def poses_over(
         self,
@@ -144,39 +166,46 @@ class Filter:
 
         False, the row NaN and counted, where a stretch is not inside [oldest_ns, horizon_ns].
         """
-        if not self._attitude.zeroed:
-            low[:] = nan
-            high[:] = nan
-            missing = len(earliest_ns)
-        else:
-            p, t = self._position.tube, self._attitude.tube
-            missing = poses_between(
-                p.times, p.box, p.swing, p.begin, p.end, t.times, t.box, t.swing, t.begin, t.end,
-                earliest_ns, latest_ns, low, high,
-            )  # fmt: skip
+        missing = self._poses_over(earliest_ns, latest_ns, low, high, on_earth=False)
         if missing:
             self.counts["poses_refused"] += missing
         return missing == 0
 
+    def _poses_over(
+        self,
+        earliest_ns: NDArray[np.int64],
+        latest_ns: NDArray[np.int64],
+        low: NDArray[np.float64],
+        high: NDArray[np.float64],
+        on_earth: bool,
+    ) -> int:
+        """The hull of all hypotheses; how many rows are NaN."""
+        if not all(poses.begun for poses in self._hypotheses):
+            low[:] = nan
+            high[:] = nan
+            return len(earliest_ns)
+        missing = self._hypotheses[0].poses_over(earliest_ns, latest_ns, low, high, on_earth)
+        for poses in self._hypotheses[1:]:
+            least, most = np.empty_like(low), np.empty_like(high)
+            missing = max(missing, poses.poses_over(earliest_ns, latest_ns, least, most, on_earth))
+            np.minimum(low, least, out=low)
+            np.maximum(high, most, out=high)
+        return missing
+
     def pose_over(self, earliest_ns: int, latest_ns: int) -> BoundedPose | None:
         """The pose during one stretch of time; None outside of [oldest_ns, horizon_ns]."""
-        low, high = np.empty((1, 6)), np.empty((1, 6))
-        times = np.array([[earliest_ns], [latest_ns]], dtype=np.int64)
-        if not self.poses_over(times[0], times[1], low, high):
-            return None
-        return BoundedPose(earliest_ns, latest_ns, low[0], high[0], self.guarantee)
+        return self._pose_over(earliest_ns, latest_ns, on_earth=False)
 
     def pose_on_earth(self, earliest_ns: int, latest_ns: int) -> BoundedPose | None:
         """The pose during one stretch of time in the anchor's ENU frame; None before a fix, as `pose_over` besides."""
-        if self.anchor is None:
-            return None
+        return None if self.anchor is None else self._pose_over(earliest_ns, latest_ns, on_earth=True)
+
+    def _pose_over(self, earliest_ns: int, latest_ns: int, on_earth: bool) -> BoundedPose | None:
         low, high = np.empty((1, 6)), np.empty((1, 6))
         times = np.array([[earliest_ns], [latest_ns]], dtype=np.int64)
-        p, t = self._position.tube, self._attitude.tube
-        if poses_between(
-            p.times, p.box, p.swing, p.begin, p.end, t.times, t.box, t.swing, t.begin, t.end,
-            times[0], times[1], low, high, EARTH.start, EARTH_YAW,
-        ):  # fmt: skip
+        missing = self._poses_over(times[0], times[1], low, high, on_earth)
+        if missing:
+            self.counts["poses_refused"] += 1
             return None
         return BoundedPose(earliest_ns, latest_ns, low[0], high[0], self.guarantee)
 
@@ -188,4 +217,20 @@ class Filter:
     @property
     def anchor(self) -> Anchor | None:
         """Where the map frame stands on Earth; None before the first fix."""
-        return self._anchoring.anchor()
+        anchors = [poses.anchor for poses in self._hypotheses]
+        known = [anchor for anchor in anchors if anchor is not None]
+        if not known or len(known) < len(anchors):
+            return None
+        low = np.min([anchor.low for anchor in known], axis=0)
+        high = np.max([anchor.high for anchor in known], axis=0)
+        return replace(known[0], low=low, high=high, guarantee=self.guarantee)
+
+
+def likeliest(reported: str, suspects: tuple[str, ...]) -> str:
+    """Whom to name. Wheels slip oftener than a receiver drifts; so GPS is named only where nothing else explains it."""
+    if reported in suspects and reported != "gps":
+        return reported
+    for sensor in ("encoders", "gyro", "tilt", "accelerometer", "imu_clock", "gps"):
+        if sensor in suspects:
+            return sensor
+    return reported

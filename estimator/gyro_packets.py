@@ -3,15 +3,16 @@
 The board's own clock says how long it was, to within its resolution and drift; the host's stamps bound it too.
 """
 
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Iterator
+from copy import copy, deepcopy
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.samples import InertialSample, Stamp
-from estimator.inconsistency import Contradictions
+from estimator.inconsistency import Journal
 from estimator.interval import down, up
 
 CLOCK_STEP_US = {"HIGHRES_IMU": 1, "RAW_IMU": 1, "DUAL_AXIS_ACCELERATION": 1, "DUAL_AXIS_TILT": 1}
@@ -50,14 +51,19 @@ class Elapsed(NamedTuple):
 class GyroPackets:
     """The newest packets of the one gyroscope that is used: that which spoke first."""
 
-    def __init__(self, clock_drift_ppm: float, counts: Counter[str], contradictions: Contradictions) -> None:
+    def __init__(self, clock_drift_ppm: float, journal: Journal) -> None:
         self._drift = clock_drift_ppm * 1e-6
-        self._counts = counts
-        self._contradictions = contradictions
+        self._journal = journal
         self._source: tuple[str, int] | None = None
         self._packets: deque[Packet] = deque(maxlen=REMEMBERED)
         self._period_s = np.inf
         self._intervals_seen = 0
+
+    def __deepcopy__(self, memo: dict[int, object]) -> "GyroPackets":
+        """Packets never change: the copy's list is new, its entries are not."""
+        new = copy(self)
+        new._journal, new._packets = deepcopy(self._journal, memo), self._packets.copy()
+        return new
 
     def __len__(self) -> int:
         return len(self._packets)
@@ -74,7 +80,7 @@ class GyroPackets:
         if self._source is None:
             self._source = source
         if source != self._source:
-            self._counts["second_gyro"] += 1
+            self._journal.counts["second_gyro"] += 1
             return False
         last = self._packets[-1] if self._packets else None
         if last is not None and (
@@ -86,7 +92,7 @@ class GyroPackets:
                 and sample.device_time_us <= last.device_us
             )
         ):
-            self._counts["gyro_out_of_order"] += 1
+            self._journal.counts["gyro_out_of_order"] += 1
             return False
         return True
 
@@ -98,6 +104,12 @@ class GyroPackets:
                 stamp, sample.epoch, sample.device_time_us, _resolution_us(sample), effort, sample.gyro_rps, began_ns
             )
         )
+
+    def begin_anew(self, effort: NDArray[np.int64]) -> None:
+        """Forget all but the newest packet; variations count from `effort` on."""
+        newest = self._packets[-1]
+        self._packets.clear()
+        self._packets.append(newest._replace(effort=effort))
 
     def elapsed(self, sample: InertialSample) -> Elapsed:
         """Time since the last packet. A board's clock that can't be true by the host's stamps is reported."""
@@ -115,9 +127,9 @@ class GyroPackets:
             self._period_s = min(self._period_s, between * 1e-6)
         gap = self._intervals_seen <= LEARNING_PACKETS or between * 1e-6 > 1.5 * self._period_s
         if gap and self._intervals_seen > LEARNING_PACKETS:
-            self._counts["gyro_gaps"] += 1
+            self._journal.counts["gyro_gaps"] += 1
         if device_low > high or device_high < low:
-            self._contradictions.report("imu_clock", stamp.mid_ns)
+            self._journal.report("imu_clock", stamp.mid_ns, max(device_low - high, low - device_high) * 1e-9, "s")
             return Elapsed(down(low * 1e-9), up(high * 1e-9), stamp, True)
         low, high = max(low, device_low, 0), min(high, device_high)
         stamp = Stamp(

@@ -1,23 +1,64 @@
-"""Measurements that contradict their bounds: said aloud, kept, and never used."""
+"""Measurements that contradict their bounds: said aloud, kept, and never used.
+
+An empty intersection proves that some declared bound was broken, not always the named sensor's own: the others that
+made the set count too. That none was empty proves nothing.
+"""
 
 from collections import Counter
+from collections.abc import Callable
+from typing import NamedTuple
 
-from estimator.bounded_pose import INTACT, Guarantee
+SENSORS = ("gps", "encoders", "gyro", "tilt", "accelerometer", "imu_clock")
+"""Whose bounds can be broken."""
+SUSPECTS = {
+    "gps": ("gps", "encoders", "gyro", "tilt", "accelerometer"),
+    "tilt": ("tilt", "gyro", "accelerometer"),
+    "accelerometer": ("accelerometer", "tilt", "gyro"),
+    "gyro": ("gyro", "encoders"),
+    "encoders": ("encoders",),
+    "imu_clock": ("imu_clock",),
+}
+"""Whose bound may be the broken one where a measurement of this sensor contradicts the set."""
 
 
-class Contradictions:
-    """The first contradiction voids the guarantee for good; every one is counted by its sensor.
+class Contradiction(NamedTuple):
+    """One empty intersection."""
 
-    An empty intersection proves that some declared bound was broken (not always the named sensor's own: the others
-    that made the set count too). That none was empty proves nothing.
-    """
+    sensor: str
+    """Whose measurement left nothing of the set."""
+    time_ns: int
+    """Host time of that measurement."""
+    excess: float
+    """By how much its declared bound would have to be wider for something to be left; inf where no width helps."""
+    unit: str
+
+
+class Journal:
+    """What happened to one pose set: counts, and the first contradiction since it was last read."""
 
     def __init__(self, counts: Counter[str]) -> None:
-        self.guarantee: Guarantee = INTACT
-        self._counts = counts
+        self.counts = counts
+        self.contradiction: Contradiction | None = None
 
-    def report(self, sensor: str, time_ns: int) -> None:
-        """`sensor` contradicts the set at host time `time_ns`."""
-        self._counts[f"contradiction_{sensor}"] += 1
-        if self.guarantee.intact:
-            self.guarantee = Guarantee(void_since_ns=time_ns, sensor=sensor)
+    def report(self, sensor: str, time_ns: int, excess: float, unit: str) -> None:
+        """`sensor` contradicts the set at host time `time_ns` by `excess`."""
+        self.counts[f"contradiction_{sensor}"] += 1
+        if self.contradiction is None:
+            self.contradiction = Contradiction(sensor, time_ns, excess, unit)
+
+
+def least_excess(agrees: Callable[[float], bool], first: float) -> float:
+    """The least widening, to within a tenth, with which a measurement `agrees`; inf if 2^16 `first` doesn't do."""
+    high = first
+    while not agrees(high):
+        high *= 2.0
+        if high > 2.0**16 * first:
+            return float("inf")
+    low = 0.5 * high if high > first else 0.0
+    while high - low > 0.1 * high:
+        middle = 0.5 * (low + high)
+        if agrees(middle):
+            high = middle
+        else:
+            low = middle
+    return high

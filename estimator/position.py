@@ -1,6 +1,6 @@
 """The position chain: a box of (x, y, z), in the map and on Earth, at the true time of each encoder reading."""
 
-from collections import Counter
+from dataclasses import replace
 from math import nan
 from typing import NamedTuple
 
@@ -13,11 +13,13 @@ from drivers.samples import WheelTicks
 from estimator.attitude import MAP_YAW, UNKNOWN_TILT, UNKNOWN_YAW, AttitudeChain
 from estimator.config import FilterConfig, RobotConfig
 from estimator.gps_window import GpsWindow
-from estimator.inconsistency import Contradictions
+from estimator.inconsistency import Journal
 from estimator.interval import Interval, meet, up, widen
 from estimator.motion import QUANTUM, TrackBounds, travel_in_all_frames
 from estimator.tube import Tube
 
+NO_EPOCH = -1
+"""Of counts that nothing may be subtracted from."""
 MAP, EARTH, LOCAL = slice(0, 3), slice(3, 6), slice(6, 9)
 """Rows of what a step is followed with: in the map, on Earth (east, north, up), and along its own heading."""
 ANYWHERE_M = 1e8
@@ -56,8 +58,7 @@ class PositionChain:
         config: FilterConfig,
         encoders: EncodersConfig,
         attitude: AttitudeChain,
-        counts: Counter[str],
-        contradictions: Contradictions,
+        journal: Journal,
     ) -> None:
         half_gauge = 0.5 * robot.track_gauge_m
         self.tracks = TrackBounds(
@@ -76,7 +77,7 @@ class PositionChain:
         """How far the mean of two differences of counts is off, in metres."""
         self._left_m, self._right_m = encoders.left_metres_per_tick, encoders.right_metres_per_tick
         self._attitude = attitude
-        self._counts, self._contradictions = counts, contradictions
+        self._journal = journal
         self.tube = Tube(int(config.history_s * 1e9), coordinates=6)
         self.window = GpsWindow(attitude.gyro.bias_drift)
         """The way since the fixes that are remembered."""
@@ -107,7 +108,8 @@ class PositionChain:
         places, turns = self.tube, self._attitude.tube
         step = self._step(ticks)
         if not self._go(step):
-            self._contradictions.report("encoders", ticks.stamp.mid_ns)
+            excess = 0.5 * abs(step.left + step.right) - self.tracks.most_speed * step.time_high
+            self._journal.report("encoders", ticks.stamp.mid_ns, excess, "m")
             step = step._replace(counted=False)
             self._go(step)
         self._fresh_count = not step.counted
@@ -137,7 +139,7 @@ class PositionChain:
             attitude, local_yaw = turns.hull(a, b), self._attitude.yaw_between(a, b)
             turning = min(turning, (turns.effort[b, 2] - turns.effort[a, 2]) * QUANTUM)
         else:
-            self._counts["attitude_history_missed"] += 1
+            self._journal.counts["attitude_history_missed"] += 1
             a, attitude, local_yaw = b, UNKNOWN_ATTITUDE, (-UNKNOWN_YAW, UNKNOWN_YAW)
             telescoped = up(turning + telescoped)
         counted = ticks.epoch == last.epoch
@@ -168,6 +170,24 @@ class PositionChain:
         if m >= turns.begin:
             foresee(narrowed, self._pending, self.turned_around(m), core)
         return core
+
+    def join(self, other: "PositionChain") -> None:
+        """Grow to the hull of both chains, which have the same newest nodes; counts and window begin anew."""
+        self.window.clear()
+        if not self.tube.join(other.tube) or self.last_ticks is None:
+            return
+        self.last_ticks = replace(self.last_ticks, epoch=NO_EPOCH)
+        self._turned_until = max(self._turned_until, int(self._attitude.tube.effort[self._attitude.tube.newest, 2]))
+        turns, began_ns = self._attitude.tube, int(self.tube.times[self.tube.newest, 0])
+        before = turns.before(began_ns)
+        slack = self.turned_around(max(before, turns.begin))
+        if before < turns.begin:
+            seconds = up((int(turns.times[turns.begin, 1]) - began_ns) * 1e-9)
+            slack = up(slack + up(self.tracks.turning_centre * up(self._attitude.gyro.most_rate * seconds)))
+        box = self.tube.box[self.tube.newest]
+        self._core[:6, 0] = np.nextafter(box[:, 0] - slack, -np.inf)
+        self._core[:6, 1] = np.nextafter(box[:, 1] + slack, np.inf)
+        self._fresh_count = True
 
     def remember(self) -> None:
         """Keep the fix last given to the window, if the way since the one before is long enough."""

@@ -80,6 +80,22 @@ class Tube:
             setattr(self, name, new)
         self.begin, self.end = 1, size + 1
 
+    def join(self, other: "Tube") -> int:
+        """Grow to the hull of both, over as many of the newest nodes as both have: how many. The rest is let go."""
+        k = min(len(self), len(other))
+        mine, theirs = slice(self.end - k, self.end), slice(other.end - k, other.end)
+        self.begin = self.end - k
+        for name in ("box", "net", "local"):
+            own, its = getattr(self, name)[mine], getattr(other, name)[theirs]
+            np.minimum(own[..., 0], its[..., 0], out=own[..., 0])
+            np.maximum(own[..., 1:], its[..., 1:], out=own[..., 1:])
+        np.maximum(self.swing[mine], other.swing[theirs], out=self.swing[mine])
+        steps = np.maximum(np.diff(self.effort[mine], axis=0), np.diff(other.effort[theirs], axis=0))
+        self.effort[self.begin + 1 : self.end] = self.effort[self.begin] + np.cumsum(steps, axis=0)
+        np.minimum(self.times[mine, 0], other.times[theirs, 0], out=self.times[mine, 0])
+        np.maximum(self.times[mine, 1], other.times[theirs, 1], out=self.times[mine, 1])
+        return k
+
     def before(self, time_ns: int) -> int:
         """Index of the last node that is surely not after `time_ns`; begin - 1 if there is none."""
         return last_not_after(self.times, self.begin, self.end, time_ns)

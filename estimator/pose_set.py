@@ -1,0 +1,200 @@
+"""One pose set: the two chains of nodes and what corrects them, on the word of some of the sensors.
+
+Two chains, each on its own unknown-but-bounded time base, so that the uncertainty of a stamp never adds up:
+
+    attitude   a node per gyro packet       (roll, pitch, yaw), and the gyro's bias box
+    position   a node per encoder reading   (x, y, z), the attitude taken from the other chain's tube
+
+    predict    gyro packet: rotate -> turn                     encoder reading: travel
+    correct    tilt, accelerometers -> the newest attitude;    standstill -> bias;    GPS -> position and anchor
+
+Map frame: gravity aligned, x = y = z = yaw = 0 at the true time of the first encoder reading (of the first one that
+the attitude chain reaches). Beside it the same pose is kept on Earth (ENU at the first fix). Times are host monotonic
+ns and come with the samples.
+"""
+
+from collections import Counter, deque
+from copy import deepcopy
+from dataclasses import replace
+from math import isfinite, isnan
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.config import EncodersConfig, GpsConfig, ImuConfig
+from drivers.samples import ABSENT3, Fix, InertialSample, WheelTicks
+from estimator.anchoring import Anchoring
+from estimator.attitude import EARTH_YAW, MAP_YAW, AttitudeChain
+from estimator.bounded_pose import Anchor
+from estimator.config import FilterConfig, RobotConfig
+from estimator.ellipsoidal_position import EllipsoidalPosition
+from estimator.inconsistency import Journal
+from estimator.position import EARTH, MAP, NO_EPOCH, PositionChain
+from estimator.standstill import Standstill
+from estimator.tube import poses_between
+
+PENDING = 4096
+"""Samples that may wait for the chain they depend on; the oldest are dropped."""
+
+POSITION_CHAINS: dict[str, type[PositionChain]] = {"box": PositionChain, "ellipsoid": EllipsoidalPosition}
+"""The sets a pose can be kept as."""
+
+
+class PoseSet:
+    """Every pose that the sensors allow, but for those on whose word nothing is taken (`ignored`)."""
+
+    def __init__(
+        self,
+        robot: RobotConfig,
+        config: FilterConfig,
+        encoders: EncodersConfig,
+        imu: ImuConfig,
+        gps: GpsConfig | None,
+        counts: Counter[str],
+    ) -> None:
+        self.journal = Journal(counts)
+        self.ignored: frozenset[str] = frozenset()
+        """Sensors that count as missing."""
+        self._attitude = AttitudeChain(robot, config, imu, self.journal)
+        self._position = POSITION_CHAINS[config.set](robot, config, encoders, self._attitude, self.journal)
+        self._standstill = Standstill(config.standstill_s, self._attitude)
+        self._anchoring = Anchoring(gps, self._attitude, self._position, self.journal)
+        self._tilts: deque[InertialSample] = deque(maxlen=PENDING)
+        self._ticks: deque[WheelTicks] = deque(maxlen=PENDING)
+        self._fixes: deque[Fix] = deque(maxlen=PENDING)
+        self._uncounted = 0
+
+    def copy(self, counts: Counter[str], ignored: frozenset[str] | None = None) -> "PoseSet":
+        """The same set with a life of its own; `ignored`: without the word of other sensors from here on."""
+        new = deepcopy(self)
+        new.journal.counts = counts
+        new.journal.contradiction = None
+        if ignored is not None:
+            new.ignored = ignored
+            if "gps" in ignored:
+                new._fixes.clear()
+            if ignored & {"tilt", "accelerometer", "imu_clock"}:
+                new._tilts.clear()
+            if "encoders" in ignored:
+                new._ticks = deque((new._untold(ticks) for ticks in new._ticks), PENDING)
+        return new
+
+    # ---------------------------------------------------------------- samples in
+
+    def accept(self, sample: WheelTicks | InertialSample | Fix) -> None:
+        """Take one sample. One that comes out of order, or can't be used, is dropped and counted."""
+        if isinstance(sample, InertialSample):
+            self._accept_inertial(sample)
+        elif isinstance(sample, WheelTicks):
+            self._take_in_order(sample)
+        elif "gps" in self.ignored:
+            return
+        elif all(map(isfinite, (sample.lat_deg, sample.lon_deg, sample.alt_m, *sample.bound_m))):
+            self._queue(self._fixes, sample)
+        else:
+            self.journal.counts["fix_unusable"] += 1
+        while self._ticks and self._attitude.tube.reaches(self._ticks[0].stamp.latest_ns) and self._may_travel():
+            self._travel(self._ticks.popleft())
+        while self._fixes and self._position.tube.reaches(self._fixes[0].stamp.latest_ns):
+            self._anchoring.correct(self._fixes.popleft())
+
+    def _accept_inertial(self, sample: InertialSample) -> None:
+        """A gyro packet is a step, tilt and accelerometers correct. What is ignored counts as not measured."""
+        turns = not all(map(isnan, sample.gyro_rps))
+        if self.ignored:
+            sample = replace(
+                sample,
+                device_time_us=None if "imu_clock" in self.ignored else sample.device_time_us,
+                gyro_rps=ABSENT3 if "gyro" in self.ignored else sample.gyro_rps,
+                tilt_rad=ABSENT3[:2] if "tilt" in self.ignored else sample.tilt_rad,
+                accel_mps2=ABSENT3 if "accelerometer" in self.ignored else sample.accel_mps2,
+            )
+        if turns:
+            self._attitude.predict(sample)
+        if not (all(map(isnan, sample.tilt_rad)) and all(map(isnan, sample.accel_mps2[:2]))):
+            self._queue(self._tilts, sample)
+        while self._tilts and self._attitude.correct_tilt(self._tilts[0]):
+            self._tilts.popleft()
+
+    def _take_in_order(self, ticks: WheelTicks) -> None:
+        """Readings go back neither in their middles nor surely. Ignored ones count as those of a restarted counter."""
+        newest = self._ticks[-1] if self._ticks else self._position.last_ticks
+        if newest is not None and (
+            ticks.stamp.mid_ns < newest.stamp.mid_ns or ticks.stamp.latest_ns < newest.stamp.earliest_ns
+        ):
+            self.journal.counts["encoders_out_of_order"] += 1
+            return
+        self._queue(self._ticks, self._untold(ticks) if "encoders" in self.ignored else ticks)
+
+    def _untold(self, ticks: WheelTicks) -> WheelTicks:
+        """A reading that says only when it was made."""
+        self._uncounted += 1
+        return replace(ticks, epoch=NO_EPOCH - self._uncounted)
+
+    def _queue(self, queue: "deque[InertialSample] | deque[WheelTicks] | deque[Fix]", sample: object) -> None:
+        """Wait in a bounded queue."""
+        if len(queue) == queue.maxlen:
+            self.journal.counts["dropped_waiting"] += 1
+        queue.append(sample)  # type: ignore[arg-type]  # each queue is given its own kind
+
+    def _may_travel(self) -> bool:
+        """Once positions have begun, always; they then bear an unknown attitude too."""
+        return self._attitude.level or len(self._position.tube) > 0
+
+    def _travel(self, ticks: WheelTicks) -> None:
+        """The map begins at the first reading; then each is a node further."""
+        if self._position.last_ticks is None and not self._position.begin(ticks):
+            return
+        self._standstill.watch(ticks)
+        if self._position.last_ticks is not ticks:
+            self._position.predict(ticks)
+
+    # ---------------------------------------------------------------- poses out
+
+    @property
+    def begun(self) -> bool:
+        """Is there a map frame?"""
+        return self._attitude.zeroed
+
+    @property
+    def horizon_ns(self) -> int | None:
+        """Poses can be given for stretches of time that end by here."""
+        if not self.begun:
+            return None
+        places, turns = self._position.tube, self._attitude.tube
+        return int(min(places.times[places.newest, 0], turns.times[turns.newest, 0]))
+
+    @property
+    def oldest_ns(self) -> int | None:
+        """... and that begin no earlier than here."""
+        if not self.begun:
+            return None
+        places, turns = self._position.tube, self._attitude.tube
+        return int(max(places.times[places.begin, 1], turns.times[turns.begin, 1]))
+
+    def poses_over(
+        self,
+        earliest_ns: NDArray[np.int64],
+        latest_ns: NDArray[np.int64],
+        low: NDArray[np.float64],
+        high: NDArray[np.float64],
+        on_earth: bool = False,
+    ) -> int:
+        """Boxes [m, 6] over m stretches of time; how many of them are not inside [oldest_ns, horizon_ns] (NaN)."""
+        p, t = self._position.tube, self._attitude.tube
+        place, yaw = (EARTH.start, EARTH_YAW) if on_earth else (MAP.start, MAP_YAW)
+        return poses_between(
+            p.times, p.box, p.swing, p.begin, p.end, t.times, t.box, t.swing, t.begin, t.end,
+            earliest_ns, latest_ns, low, high, place, yaw,
+        )  # fmt: skip
+
+    @property
+    def anchor(self) -> Anchor | None:
+        """Where the map frame stands on Earth; None before the first fix."""
+        return self._anchoring.anchor()
+
+    def join(self, other: "PoseSet") -> None:
+        """Grow to the hull of both: two sets that were given the same samples since they were one."""
+        self._attitude.join(other._attitude)
+        self._position.join(other._position)
+        self._anchoring.join(other._anchoring)
