@@ -30,9 +30,10 @@ MOST_FAULTS = 256
 
 
 class Fault(NamedTuple):
-    """One contradiction and what explains it."""
+    """A stretch of time with contradictions, and what explains all of them."""
 
     contradiction: Contradiction
+    """The first."""
     sensor: str
     """The likeliest of the suspects."""
     suspects: tuple[str, ...]
@@ -103,13 +104,20 @@ class Filter:
         self._hypotheses = left
         left[0].journal.counts = self.counts
         suspects = tuple(sensor for poses in left for sensor in poses.ignored if poses.ignored != EVERY_SENSOR)
-        fault = Fault(found, likeliest(found.sensor, suspects), suspects)
-        self.faults.append(fault)
-        self.counts["faults"] += 1
-        status = Status.DEGRADED if suspects else Status.LOST
+        if first:
+            self.counts["faults"] += 1
+        else:
+            found = self.faults.pop().contradiction
+        self.faults.append(Fault(found, likeliest(found.sensor, suspects), suspects))
         if first or not suspects:
             self._until_ns = self._now_ns + self._length_ns
-        if self.guarantee.intact:
+        self._void(self.faults[-1])
+
+    def _void(self, fault: Fault) -> None:
+        """The guarantee is void since the first fault, in the name of whom that turns out to be."""
+        status = Status.DEGRADED if fault.suspects else Status.LOST
+        if self.counts["faults"] == 1:
+            found = fault.contradiction
             self.guarantee = Guarantee(found.time_ns, fault.sensor, found.excess, found.unit, status)
         else:
             self.guarantee = replace(self.guarantee, status=status, restored_ns=None)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
-from estimator.bounded_pose import Anchor, BoundedPose, Guarantee
+from estimator.bounded_pose import Anchor, BoundedPose, Guarantee, Status
 
 MAX_BYTES = 1 << 18
 """Longer messages are refused unread."""
@@ -65,6 +65,10 @@ class GuaranteeMessage:
     intact: bool
     void_since_ns: int | None = None
     sensor: str | None = None
+    excess: float | None = None
+    unit: str | None = None
+    status: str = "NOMINAL"
+    restored_ns: int | None = None
 
 
 @dataclass(frozen=True, slots=True, config=_WIRE)
@@ -161,14 +165,26 @@ def read_plain(data: bytes) -> dict[str, Any]:
 
 def guarantee_message(guarantee: Guarantee) -> GuaranteeMessage:
     """A Guarantee for the wire."""
-    return GuaranteeMessage(guarantee.intact, guarantee.void_since_ns, guarantee.sensor)
+    excess = guarantee.excess if guarantee.excess is not None and isfinite(guarantee.excess) else None
+    return GuaranteeMessage(
+        guarantee.intact,
+        guarantee.void_since_ns,
+        guarantee.sensor,
+        excess,
+        guarantee.unit,
+        guarantee.status.value,
+        guarantee.restored_ns,
+    )
 
 
 def guarantee_from(message: GuaranteeMessage) -> Guarantee:
     """The Guarantee of a message; one that says no more than "not intact" is void since ever."""
     if message.intact:
         return Guarantee()
-    return Guarantee(message.void_since_ns or 0, message.sensor)
+    status = Status(message.status) if message.status in Status.__members__ else Status.LOST
+    return Guarantee(
+        message.void_since_ns or 0, message.sensor, message.excess, message.unit, status, message.restored_ns
+    )
 
 
 def write_pose(pose: BoundedPose) -> bytes:

@@ -4,7 +4,7 @@ import json
 import threading
 from collections import Counter
 
-from estimator.bounded_pose import Guarantee
+from estimator.bounded_pose import Guarantee, Status
 from service.health import DeviceState, Health
 
 S = 1_000_000_000
@@ -107,10 +107,19 @@ def test_a_robot_whose_sensors_are_gone_is_not_restarted() -> None:
 def test_a_snapshot_is_json_and_tells_of_a_broken_guarantee() -> None:
     """Everything published survives JSON; a contradiction names its sensor and its time."""
     health = watched(Counter(bad_crc=2))
-    health.processed(S, Counter(scans=7), Guarantee(void_since_ns=12, sensor="gps"))
+    void = Guarantee(12, "gps", 1.9, "m", Status.DEGRADED)
+    health.processed(S, Counter(scans=7), void)
     health.dropped("encoders", 4)
     snapshot = json.loads(json.dumps(health.snapshot(S)))
-    assert snapshot["guarantee"] == {"intact": False, "void_since_ns": 12, "sensor": "gps"}
+    assert snapshot["guarantee"] == {
+        "intact": False,
+        "void_since_ns": 12,
+        "sensor": "gps",
+        "excess": 1.9,
+        "unit": "m",
+        "status": "DEGRADED",
+        "restored_ns": None,
+    }
     assert snapshot["pipeline"] == {"scans": 7}
     assert snapshot["devices"]["encoders"]["dropped"] == 4
     assert snapshot["devices"]["encoders"]["counts"] == {"bad_crc": 2}
