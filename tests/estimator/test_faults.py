@@ -12,8 +12,8 @@ from drivers.samples import Fix, InertialSample, WheelTicks
 from estimator.bounded_pose import Status
 from estimator.config import FilterConfig, RobotConfig
 from estimator.filter import Filter
-from service.commands.emulate import robot_model
 from service.config import load
+from service.robot_model import robot_model
 from service.shipped import shipped_config
 from simulator.errors import ErrorLaw
 from simulator.open_ground import open_ground
