@@ -82,9 +82,10 @@ class EncodersFile:
         return [timed for line in lines for timed in self._receive_line(line)]
 
     def finish(self) -> list[Timed]:
-        """The last line, if its end is missing."""
+        """The last line, if its end is missing, and a count that was doubted."""
         line, self._partial = self._partial, b""
-        return list(self._receive_line(line))
+        rest = list(self._receive_line(line))
+        return rest + [(ticks.stamp.mid_ns if self._is_candump else 0, ticks) for ticks in self._protocol.finish()]
 
     def _receive_line(self, line: bytes) -> Iterator[Timed]:
         if not line.strip():

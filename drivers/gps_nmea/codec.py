@@ -252,10 +252,13 @@ def _read_zda(fields: Sequence[str]) -> Calendar:
 def _position(place: Sequence[str], quality: int, rest: Sequence[str] = ("", "", "", "")) -> Position:
     """`place`: time, lat, N/S, lon, E/W; `rest`: satellites, hdop, altitude, separation."""
     satellites, hdop, altitude, separation = rest
+    lat, lon = latitude(place[1], place[2]), longitude(place[3], place[4])
+    # A receiver writes both with the same decimals. Two equal bytes that went missing from one don't change the XOR.
+    expect(lat is None or lon is None or lat.half_step_deg == lon.half_step_deg)
     return Position(
         time=time_of_day(place[0]),
-        lat=latitude(place[1], place[2]),
-        lon=longitude(place[3], place[4]),
+        lat=lat,
+        lon=lon,
         quality=quality,
         hdop=number(hdop, 0, 1000),
         altitude_m=number(altitude, -12_000, 100_000),

@@ -8,7 +8,7 @@ than 2^(b-1) at all since the last reading. How far it can have moved, the track
     it is not, in either counter                                                     kept back until the next reading...
     ... which goes on from it alone                                                  the unit restarted: a new epoch
     ... which goes on from the reading before alone                                  it was a false one, and is dropped
-    ... which may go on from either                                                  dropped, and a new epoch
+    ... which may go on from either                                                  each begins an epoch of its own
 
 A wrap that is believed is therefore a true one as long as the declared speed holds. Counts of different epochs are
 never subtracted; a gap that was none costs tightness alone.
@@ -18,7 +18,7 @@ from collections import Counter
 from dataclasses import dataclass
 from math import ceil
 
-SLACK = 4.0
+SLACK = 2.0
 """A change is taken for one of the tracks up to so many times the declared speed: whether that speed was exceeded is
 the filter's question, not ours."""
 
@@ -100,8 +100,7 @@ class Odometer:
             return [self._begin(reading)]
         if self._may_be_new(self._last.reading, reading):
             self._counts["gaps"] += 1
-            self.interrupt()
-            return [self._begin(reading)]
+            return [*self.finish(), self._begin(reading)]
         doubtful, self._doubtful = self._doubtful, None
         count = self._next(self._last, reading)
         if doubtful is not None and not self._may_be_new(doubtful, reading):
@@ -109,8 +108,7 @@ class Odometer:
             restarted = self._next(first, reading)
             if count is not None and restarted is not None:
                 self._counts["gaps"] += 1
-                self.interrupt()
-                return [self._begin(reading)]
+                return [self._begin(doubtful), self._begin(reading)]
             if restarted is not None:
                 self._counts["restarts"] += 1
                 self.interrupt()
@@ -123,7 +121,12 @@ class Odometer:
         self._doubtful = reading
         return []
 
+    def finish(self) -> list[Count]:
+        """Nothing follows that could tell about a reading kept back: it is one of an epoch of its own."""
+        return [self._begin(self._doubtful)] if self._doubtful is not None else []
+
     def _begin(self, reading: Reading) -> Count:
+        self.interrupt()
         self._last = Count(reading.left, reading.right, self._epoch, reading)
         return self._last
 

@@ -126,6 +126,10 @@ class TrackEncoderProtocol:
         self._late_ns = 0
         return samples
 
+    def finish(self) -> list[WheelTicks]:
+        """The stream has ended, as a recording does: a reading that was kept back."""
+        return [self._sample(count) for count in self._odometer.finish()]
+
     def receive_frame(self, frame: CanFrame, stamp_ns: int, late_ns: int = 0) -> list[WheelTicks]:
         """Take one frame; both tracks must have been seen anew before a sample comes out."""
         if frame.error:
