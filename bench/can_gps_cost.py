@@ -1,6 +1,6 @@
 """What the encoders' and the receiver's parsers cost, as a share of one core at full rate; and on garbage.
 
-Run alone with `python -m bench.can_gps_cost`.
+Run alone with `python -m bench.can_gps_cost`; `make bench` puts the section into RESULTS.md.
 """
 
 import os
@@ -14,7 +14,11 @@ from bench import encoder_wire, gps_wire
 SECONDS = 20
 """Of traffic, at full rate."""
 MS = 1_000_000
-TEXT = """| wire | traffic | bytes/s | CPU, share of a core |
+TEXT = """## The encoders' and the receiver's parsers
+
+Bytes to samples, CPU of one core, the quietest of three runs.
+
+| wire | traffic | bytes/s | CPU, share of a core |
 |---|---|---|---|
 """
 

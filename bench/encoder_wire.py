@@ -1,16 +1,19 @@
 """The encoders' wire for the benches: slcan lines of a busy bus, and the driver that reads them."""
 
-from collections.abc import Callable, Hashable
+import re
+from collections.abc import Callable, Hashable, Mapping
 from random import Random
 
 from drivers.config import EncodersConfig
 from drivers.samples import WheelTicks
-from drivers.track_encoders.codec import CanFrame, parse_slcan, serialise_slcan
+from drivers.track_encoders.codec import CanFrame, serialise_slcan
 from drivers.track_encoders.protocol import TrackEncoderProtocol
 from service.shipped import shipped_config
 from simulator.emulators.track_encoders import TRACKS_ID, tracks_frame
 
 MS = 1_000_000
+_TRACKS_LINE = re.compile(rb"t%03X4([0-9A-Fa-f]{8})(?:[0-9A-Fa-f]{4}){0,2}[\r\a]" % TRACKS_ID)
+"""As an adapter may write it that stamps its frames."""
 FOREIGN_FRAMES = 9
 """Between two messages of the counters: a bus of 1000 frames a second."""
 MOST_TICKS = 6
@@ -70,7 +73,8 @@ def counts(ticks: WheelTicks) -> Hashable:
     return ticks.left & 0xFFFF, ticks.right & 0xFFFF
 
 
-def unseen(line: bytes) -> bool:
-    """May a damaged line pass for a message of the counters? slcan has no checksum."""
-    frame = parse_slcan(line.rstrip(b"\r\a"))
-    return frame is not None and frame.can_id == TRACKS_ID and len(frame.data) == 4
+def unseen(stream: bytes, sent: Mapping[bytes, Hashable]) -> int:
+    """Lines that look like a message of the counters, with counts that were never sent: slcan has no checksum."""
+    known = set(sent.values())
+    pairs = (bytes.fromhex(digits.decode()) for digits in _TRACKS_LINE.findall(stream))
+    return sum((int.from_bytes(p[:2], "little"), int.from_bytes(p[2:], "little")) not in known for p in pairs)

@@ -4,13 +4,14 @@ A frame travels with a key that tells what it says; a driver gives back the keys
 adds a row to WIRES: `bench/line_faults.py` and `bench/prove_parsers.py` do the rest.
 """
 
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench import encoder_wire, gps_wire
 from drivers.config import LaserConfig
 from drivers.samples import Scan
 from drivers.sick_lms.measurements import MM
@@ -37,6 +38,10 @@ class Wire:
     """frames(seed, count): what a device sends, each with its key."""
     receiver: Callable[[], Receive]
     """A new driver, ready to read."""
+    unseen: Callable[[bytes, Mapping[bytes, Hashable]], int] = lambda stream, sent: 0
+    """How many frames in a damaged stream were not sent, and yet no check of the wire can tell it."""
+    once: bool = False
+    """Does a frame that comes twice say nothing new?"""
 
 
 def scans(seed: int, count: int) -> list[tuple[bytes, Hashable]]:
@@ -118,4 +123,6 @@ LASER = LaserConfig(
 WIRES = (
     Wire("laser", LINES["lms"], scans, live_laser),
     Wire("laser, recorded", LINES["lms"], scans, recorded_laser),
+    Wire("encoders, slcan", LINES["encoders"], encoder_wire.lines, encoder_wire.driver, encoder_wire.unseen),
+    Wire("gps", LINES["gps"], gps_wire.sentences, gps_wire.driver, gps_wire.unseen, once=True),
 )
