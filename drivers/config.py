@@ -70,7 +70,9 @@ class LaserConfig:
     range_bound_m: Positive
     """Range error: systematic + statistical + resolution."""
     angle_bound_deg: NotNegative
-    """Scan-angle error of a beam's centre, plus half the beam's divergence."""
+    """Scan-angle error of a beam's centre, plus half the beam's divergence: along the scan."""
+    across_bound_deg: NotNegative | None = None
+    """The same across the scan's plane: half the divergence, and the mirror's wobble. Absent: as angle_bound_deg."""
     range_min_m: NotNegative = 0.3
     range_max_m: Positive = 30.0
     """Ranges outside [range_min_m, range_max_m] are not used."""

@@ -4,19 +4,22 @@ The point, with rotations from the outermost to the innermost (frames: t in map,
 
     p = t + R [ l + Rm r (cos th, sin th, 0) ],   R = Rz(yaw) Ry(pitch) Rx(roll),   Rm = Rz Ry(-) Rx of the mounting
 
-Every error is unknown but bounded: the pose axes, the lever arm l, the three mounting angles, the scan angle th (a
-rotation about the scan axis R Rm ez) and the range r. Write each angle's error as one more rotation about its own axis
-a_k, fixed at the nominal values. Then, exactly,
+Every error is unknown but bounded: the pose axes, the lever arm l, the three mounting angles, the beam's direction
+along the scan (a rotation about the scan axis n = R Rm ez) and across it, as a beam is a cone, and the range r. Write
+each angle's error as one more rotation about its own axis a_k, fixed at the nominal values. Then, exactly,
 
-    p = t + dt + E1 E2 E3 R (l + dl) + E1 ... E7 (r + dr) u,   Ek = exp(e_k [a_k x]),   u = R Rm (cos th, sin th, 0)
+    p = t + dt + E1 E2 E3 R (l + dl) + E1 ... E8 (r + dr) u,   Ek = exp(e_k [a_k x]),   u = R Rm (cos th, sin th, 0)
 
-with k = yaw, pitch, roll | mount yaw, mount pitch, mount roll, scan angle. Half-width of p about its nominal value,
-d_k being the half-range of e_k, S = d1 + d2 + d3 (without yaw for z), Z = S + d4 + ... + d7:
+with k = yaw, pitch, roll | mount yaw, mount pitch, mount roll, along the scan, across. Half-width of p about its
+nominal value, d_k being the half-range of e_k, S = d1 + d2 + d3 (without yaw for z), Z = S + d4 + ... + d8:
 
     first order    dt + |R| dl + dr |u| + sum_k d_k |a_k x v_k|             v_k = R l + r u for k <= 3, else r u
     second order   sum_{k<=m} c_km |A_k A_m| |v_m|                          c_kk = d_k^2 / 2, c_km = d_k d_m
                    + dr sum_k d_k |A_k| |u| + sum_{k<=3} d_k |A_k| |R| dl    A_k = [a_k x]
     third order    ( S^3 |l| + 3 S^2 |dl| + Z^3 (r + dr) + 3 Z^2 dr ) / 6
+
+The last rotation's axis turns with the beam, but a_8 x u = n for every beam: what is of first order in it, alone or
+with another rotation, is per metre of range the same for all.
 
 The third order is Lagrange's bound: along any direction each derivative of a rotation has norm at most 1. It holds
 everywhere, so the box does for half-ranges of any size. docs/rounding.md shows that `PAD` covers the floating point.
@@ -46,10 +49,11 @@ G_LEVER = 11
 G_LEVER_BOUND = 14  # along x, y, z of base_link
 G_MOUNT_BOUND = 17
 G_SCAN_BOUND = 18
-G_RANGE_BOUND = 19
-G_RANGE_MIN = 20
-G_RANGE_MAX = 21
-G_SIZE = 22
+G_ACROSS_BOUND = 19
+G_RANGE_BOUND = 20
+G_RANGE_MIN = 21
+G_RANGE_MAX = 22
+G_SIZE = 23
 
 # What all beams of one pose share: one row of float64.
 P_CENTRE = 0  # t + R l
@@ -61,7 +65,7 @@ P_W_SIN = 39  # d_k a_k x U_SIN
 P_TURN_TURN = 60  # second order of two rotations, per metre of range; acts on |u|
 P_TURN_RANGE = 69  # range, and second order of a rotation and the range; acts on |u|
 P_CONSTANT = 78  # all that does not depend on the beam
-P_PER_METRE = 81  # third order, per metre of range
+P_PER_METRE = 81  # third order and all that is across the scan, per metre of range
 P_USABLE = 84  # 1 or 0
 P_SIZE = 88
 
@@ -91,6 +95,7 @@ def laser_geometry(laser: LaserConfig) -> Floats:
         *(3 * (laser.mount_position_bound_m,)),
         radians(laser.mount_angle_bound_deg),
         radians(laser.angle_bound_deg),
+        radians(laser.angle_bound_deg if laser.across_bound_deg is None else laser.across_bound_deg),
         laser.range_bound_m,
     )
     return np.array(
@@ -139,7 +144,7 @@ def prepare_pose(low: Floats, high: Floats, geometry: Floats, work: Floats, out:
     roll, pitch, yaw = 0.5 * low[3] + 0.5 * high[3], 0.5 * low[4] + 0.5 * high[4], 0.5 * low[5] + 0.5 * high[5]
     d_x, d_y, d_z = max(high[0] - x, x - low[0]), max(high[1] - y, y - low[1]), max(high[2] - z, z - low[2])
     d_lever = geometry[G_LEVER_BOUND : G_LEVER_BOUND + 3]
-    d_mount, d_range = geometry[G_MOUNT_BOUND], geometry[G_RANGE_BOUND]
+    d_mount, d_across, d_range = geometry[G_MOUNT_BOUND], geometry[G_ACROSS_BOUND], geometry[G_RANGE_BOUND]
 
     cr, sr, cp, sp, cy, sy = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
     R, M, axis = work[W_R : W_R + 3], work[W_M : W_M + 3], work[W_AXIS : W_AXIS + 7]
@@ -202,24 +207,33 @@ def prepare_pose(low: Floats, high: Floats, geometry: Floats, work: Floats, out:
                     turn_turn += term
                     if m < 3:
                         turn_turn_outer += term
-            out[P_TURN_TURN + 3 * i + j] = turn_turn
+            out[P_TURN_TURN + 3 * i + j] = turn_turn + (0.5 * d_across * d_across if i == j else 0.0)
             out[P_TURN_RANGE + 3 * i + j] = turn_range * d_range + (d_range if i == j else 0.0)
             lever_shift = abs(R[j, 0]) * d_lever[0] + abs(R[j, 1]) * d_lever[1] + abs(R[j, 2]) * d_lever[2]
             out[P_CONSTANT + i] += turn_turn_outer * abs(vx if j == 0 else vy if j == 1 else vz)
             out[P_CONSTANT + i] += turn_outer * lever_shift
 
+    # First and second order across the scan: n, and a_k x n.
+    for i in range(3):
+        a, b = (i + 1) % 3, (i + 2) % 3
+        turned = abs(axis[6, i])
+        for k in range(6):
+            turned += axis[k, 3] * abs(axis[k, a] * axis[6, b] - axis[k, b] * axis[6, a])
+        out[P_PER_METRE + i] = d_across * turned
+        out[P_CONSTANT + i] += d_range * d_across * abs(axis[6, i])
+
     # Third order, and the inflation for rounding.
     lever = np.sqrt(lx * lx + ly * ly + lz * lz)
     lever_bound = np.sqrt(d_lever[0] * d_lever[0] + d_lever[1] * d_lever[1] + d_lever[2] * d_lever[2])
     turn = axis[1, 3] + axis[2, 3]
-    inner = axis[3, 3] + axis[4, 3] + axis[5, 3] + axis[6, 3]
+    inner = axis[3, 3] + axis[4, 3] + axis[5, 3] + axis[6, 3] + d_across
     reach = abs(x) + abs(y) + abs(z) + lever + lever_bound + geometry[G_RANGE_MAX] + d_range
     for i in range(3):
         S = turn if i == 2 else turn + axis[0, 3]
         Z = S + inner
         out[P_CONSTANT + i] += (S**3 * lever + 3.0 * S**2 * lever_bound + Z**3 * d_range + 3.0 * Z**2 * d_range) / 6.0
         out[P_CONSTANT + i] += PAD * reach * (1.0 + axis[0, 3] + turn + inner) ** 2
-        out[P_PER_METRE + i] = Z**3 / 6.0
+        out[P_PER_METRE + i] += Z**3 / 6.0
 
 
 @compiled

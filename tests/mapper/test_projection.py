@@ -45,7 +45,7 @@ def a_scan(ranges: NDArray[np.float64]) -> Scan:
 class Case:
     """A scan, its pose boxes, and every error's nominal value and half-range, beam by beam, in extended precision.
 
-    The 14 errors: x, y, z, roll, pitch, yaw | lever x, y, z | mount roll, pitch, yaw | scan angle | range.
+    The 15 errors: x, y, z, roll, pitch, yaw | lever x, y, z | mount roll, pitch, yaw | scan angle | range | across.
     """
 
     scan: Scan
@@ -54,9 +54,9 @@ class Case:
     high: NDArray[np.float64]
     pose_index: NDArray[np.int32]
     nominal: Exact
-    """[n, 14]"""
+    """[n, 15]"""
     half: Exact
-    """[n, 14]"""
+    """[n, 15]"""
 
     def boxes(self) -> Boxes:
         return project(self.scan, self.laser, self.low, self.high, self.pose_index)
@@ -85,8 +85,8 @@ def a_case(
 
     wide_low, wide_high = low.astype(np.longdouble), high.astype(np.longdouble)
     rad = np.longdouble(np.pi) / 180
-    nominal = np.empty((BEAMS, 14), np.longdouble)
-    bounds = np.empty((BEAMS, 14), np.longdouble)
+    nominal = np.empty((BEAMS, 15), np.longdouble)
+    bounds = np.empty((BEAMS, 15), np.longdouble)
     nominal[:, :6], bounds[:, :6] = ((wide_low + wide_high) / 2)[pose_index], ((wide_high - wide_low) / 2)[pose_index]
     nominal[:, 6:9], bounds[:, 6:9] = [laser.mount_x_m, laser.mount_y_m, laser.mount_z_m], laser.mount_position_bound_m
     nominal[:, 9:12] = np.array([laser.mount_roll_deg, -laser.mount_pitch_deg, laser.mount_yaw_deg]) * rad
@@ -94,6 +94,8 @@ def a_case(
     nominal[:, 12] = scan.angle_min_rad + np.arange(BEAMS) * np.longdouble(scan.angle_increment_rad)
     bounds[:, 12] = laser.angle_bound_deg * rad
     nominal[:, 13], bounds[:, 13] = scan.ranges_m, laser.range_bound_m
+    across = laser.angle_bound_deg if laser.across_bound_deg is None else laser.across_bound_deg
+    nominal[:, 14], bounds[:, 14] = 0.0, across * rad
     return Case(scan, laser, low, high, pose_index, nominal, bounds)
 
 
@@ -107,9 +109,10 @@ def turn(vector: Exact, axis: int, angle: Exact) -> Exact:
 
 
 def hit(e: Exact) -> Exact:
-    """[n, 3] where beams with the parameters [n, 14] hit: the point model, written down a second time."""
+    """[n, 3] where beams with the parameters [n, 15] hit: the point model, written down a second time."""
     point = np.zeros((len(e), 3), np.longdouble)
-    point[:, 0], point[:, 1] = e[:, 13] * np.cos(e[:, 12]), e[:, 13] * np.sin(e[:, 12])
+    point[:, 0], point[:, 2] = e[:, 13] * np.cos(e[:, 14]), e[:, 13] * np.sin(e[:, 14])
+    point = turn(point, 2, e[:, 12])
     for axis, parameter in ((0, 9), (1, 10), (2, 11)):
         point = turn(point, axis, e[:, parameter])
     point = point + e[:, 6:9]
@@ -119,10 +122,10 @@ def hit(e: Exact) -> Exact:
 
 
 def jacobian(case: Case) -> Exact:
-    """[n, 3, 14] by central differences."""
+    """[n, 3, 15] by central differences."""
     columns = []
-    for k in range(14):
-        step = np.zeros(14, np.longdouble)
+    for k in range(15):
+        step = np.zeros(15, np.longdouble)
         step[k] = 1e-6
         columns.append((hit(case.nominal + step) - hit(case.nominal - step)) / np.longdouble(2e-6))
     return np.stack(columns, axis=-1)
@@ -148,6 +151,12 @@ SLOPPY = {
     "attitude": {"mount_angle_bound_deg": 0.0, "angle_bound_deg": 0.0, "mount_position_bound_m": 0.0},
     "mounting": {"mount_angle_bound_deg": 40.0, "angle_bound_deg": 0.0, "mount_position_bound_m": 0.0},
     "scan angle": {"mount_angle_bound_deg": 0.0, "angle_bound_deg": 40.0, "mount_position_bound_m": 0.0},
+    "across": {
+        "mount_angle_bound_deg": 0.0,
+        "angle_bound_deg": 0.0,
+        "across_bound_deg": 40.0,
+        "mount_position_bound_m": 0.0,
+    },
     "long lever": {
         "mount_x_m": 4.0,
         "mount_y_m": 3.0,
@@ -218,7 +227,8 @@ def test_the_box_is_hardly_wider_than_what_errors_attain(level: str) -> None:
 def mp_hit(e: list[mpmath.mpf]) -> list[mpmath.mpf]:
     """The point model in mpmath, for plain numbers and for intervals alike (the context is the numbers' own)."""
     context = mpmath.iv if isinstance(e[0], mpmath.ctx_iv.ivmpf) else mpmath.mp
-    point = [e[13] * context.cos(e[12]), e[13] * context.sin(e[12]), context.mpf(0)]
+    reach = e[13] * context.cos(e[14])
+    point = [reach * context.cos(e[12]), reach * context.sin(e[12]), e[13] * context.sin(e[14])]
 
     def turned(axis: int, angle: mpmath.mpf) -> None:
         a, b = (axis + 1) % 3, (axis + 2) % 3
@@ -234,7 +244,7 @@ def mp_hit(e: list[mpmath.mpf]) -> list[mpmath.mpf]:
 
 
 def mp_bounds(case: Case, n: int) -> tuple[list[mpmath.mpf], list[mpmath.mpf]]:
-    """Least and most of the 14 parameters of beam n as the configuration and the pose box declare them, exactly."""
+    """Least and most of the 15 parameters of beam n as the configuration and the pose box declare them, exactly."""
     mp, laser, m = mpmath.mp, case.laser, case.pose_index[n]
     rad = mp.pi / 180
     angle = mp.mpf(case.scan.angle_min_rad) + n * mp.mpf(case.scan.angle_increment_rad)
@@ -249,6 +259,7 @@ def mp_bounds(case: Case, n: int) -> tuple[list[mpmath.mpf], list[mpmath.mpf]]:
         ),
         (angle, mp.mpf(laser.angle_bound_deg) * rad),
         (mp.mpf(case.scan.ranges_m[n]), mp.mpf(laser.range_bound_m)),
+        (mp.mpf(0), mp.mpf(laser.angle_bound_deg if laser.across_bound_deg is None else 0.0) * rad),
     ]
     low = [mp.mpf(v) for v in case.low[m]] + [v - d for v, d in own]
     high = [mp.mpf(v) for v in case.high[m]] + [v + d for v, d in own]
@@ -267,7 +278,7 @@ def test_sixty_digit_corners_are_inside_and_interval_arithmetic_agrees(level: st
         for n in range(0, BEAMS, 8):
             low, high = mp_bounds(case, n)
             for _ in range(4):
-                ends = [(low, high)[way][k] for k, way in enumerate(random.integers(0, 2, 14))]
+                ends = [(low, high)[way][k] for k, way in enumerate(random.integers(0, 2, 15))]
                 for i, value in enumerate(mp_hit(ends)):
                     assert mpmath.mpf(boxes.low[n, i]) <= value <= mpmath.mpf(boxes.high[n, i])
             natural = mp_hit([mpmath.iv.mpf([a, b]) for a, b in zip(low, high, strict=True)])
