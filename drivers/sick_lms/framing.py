@@ -60,6 +60,8 @@ class Frame:
     """When the read that held the STX returned."""
     bytes_read: int
     """How many of the frame's bytes that read held: for so long, at least, the STX had been on its way."""
+    place: int
+    """Of the STX in the whole stream."""
 
     @property
     def command(self) -> int:
@@ -101,7 +103,7 @@ class FrameReader:
         """All frames that `data` completes."""
         if not data:
             return []
-        self._reads.append((self._end, stamp_ns))
+        self._reads.append((self.end, stamp_ns))
         self._buffer += data
         self._find_candidates()
         self._check_candidates()
@@ -128,11 +130,11 @@ class FrameReader:
         self._unfinished.clear()
         self._ends.clear()
         self._passed.clear()
-        self._pass_over(self._origin, self._end)
-        self._drop(self._end)
+        self._pass_over(self._origin, self.end)
+        self._drop(self.end)
 
     @property
-    def _end(self) -> int:
+    def end(self) -> int:
         """Place behind the last byte that was read."""
         return self._origin + len(self._buffer)
 
@@ -163,7 +165,7 @@ class FrameReader:
 
     def _check_candidates(self) -> None:
         """Each candidate whose last byte is there has passed now, or is none."""
-        read_end = self._end
+        read_end = self.end
         if not self._ends or self._ends[0][0] > read_end:
             return
         data = np.frombuffer(self._buffer, np.uint8)
@@ -239,7 +241,7 @@ class FrameReader:
         after = bisect_right(self._reads, start, key=lambda read: read[0])
         read_end = self._reads[after][0] if after < len(self._reads) else end
         payload = bytes(self._buffer[start - self._origin + 4 : end - self._origin - 2])
-        return Frame(payload, self._reads[after - 1][1], min(end, read_end) - start)
+        return Frame(payload, self._reads[after - 1][1], min(end, read_end) - start, start)
 
     def _start_of_tail(self, done: int) -> int:
         """Where the last bytes may be the beginning of a header."""
@@ -249,7 +251,7 @@ class FrameReader:
             if at + 1 == len(buffer) or buffer[at + 1] == FROM_SCANNER:
                 return self._origin + at
             at += 1
-        return self._end
+        return self.end
 
     def _pass_over(self, start: int, end: int) -> None:
         """These bytes belong to no frame."""

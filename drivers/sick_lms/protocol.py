@@ -13,6 +13,7 @@ from drivers.sick_lms.measurements import CM, DISTANCE_BITS, MM, ValueFormat
 from drivers.sick_lms.startup import (
     MOST_NAKS,
     MOST_WRITES,
+    MOST_WRITES_HEARD,
     STEPS,
     TRANSITIONS,
     WAITS_MS,
@@ -77,6 +78,7 @@ class SickLmsProtocol:
         self._reader = FrameReader(self.counts)
         self._found = Found(config.baud)
         self._expected: ExpectedScans | None = None  # since the stream was asked for
+        self._asked_at = 0  # place in the stream of bytes where that was
         self._outbox = bytearray()
         self._trouble = ""
         self._state = State.TUNING
@@ -89,6 +91,7 @@ class SickLmsProtocol:
         self._acknowledged = False
         self._heard = False  # an intact telegram or an ACK, since the request was sent first
         self._writes = 0
+        self._writes_heard = 0
 
     @property
     def baud(self) -> int:
@@ -216,6 +219,9 @@ class SickLmsProtocol:
         return None
 
     def _take_ranges(self, frame: Frame, now_ns: int) -> Scan | None:
+        if frame.place < self._asked_at:  # of a stream that somebody else had asked for
+            self.counts["scans_before_start"] += 1
+            return None
         if self._state is State.STARTING:  # its answer was lost, but it streams
             self._end(Outcome.DONE, now_ns)
         if self._state is not State.STREAMING:
@@ -272,7 +278,7 @@ class SickLmsProtocol:
         wanted = self._goal.configuration(found)
         if found == wanted:
             return Outcome.DONE
-        if self._write_allowed and self._writes < MOST_WRITES:
+        if self._write_allowed and self._writes < MOST_WRITES and self._writes_heard < MOST_WRITES_HEARD:
             return Outcome.DIFFERS
         # The declared range error holds for the declared unit only. A shorter reach alone does no harm.
         if found.unit == wanted.unit and found.measuring_mode in DISTANCE_BITS and not self._goal.interlaced:
@@ -296,6 +302,8 @@ class SickLmsProtocol:
         """Leave the state."""
         if self._state is State.SWITCHING_RATE and outcome is Outcome.DONE:
             self._set_baud(self._goal.baud)
+        if self._state is State.WRITING_CONFIGURATION and (outcome is not Outcome.SILENT or self._acknowledged):
+            self._writes_heard += 1
         self._go(TRANSITIONS[self._state][outcome], now_ns)
 
     def _go(self, state: State, now_ns: int) -> None:
@@ -349,6 +357,7 @@ class SickLmsProtocol:
         assert configuration is not None  # no path to STARTING avoids reading it
         self._expected = ExpectedScans(self._goal, configuration, self.counts)
         self._reader.scan_headers = self._expected.headers
+        self._asked_at = self._reader.end
 
     def _line_ns(self, size: int) -> int:
         """Time that `size` bytes need on the line: 10 bits each."""

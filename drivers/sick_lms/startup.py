@@ -11,8 +11,8 @@ an installation mode that somebody left. Three points need care:
 - A rate change is answered at the old rate. Only then does the line change, and nothing is sent until both ends have
   settled.
 - Writing the configuration wears the EEPROM out. It happens only after reading it and finding a difference, is never
-  repeated without reading again (but after a NAK, which says that it was not even understood), and at most
-  `MOST_WRITES` times.
+  repeated without reading again (but after a NAK, which says that it was not even understood), at most
+  `MOST_WRITES_HEARD` times where the scanner acknowledged it, and at most `MOST_WRITES` times in all.
 """
 
 from collections.abc import Callable
@@ -33,7 +33,7 @@ from drivers.sick_lms.telegrams import (
     Variant,
 )
 
-MOST_WRITES = 2
+MOST_WRITES_HEARD, MOST_WRITES = 2, 10
 MOST_NAKS = 5
 """Requests damaged on the line, one after the other, before one counts as a try."""
 
