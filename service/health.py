@@ -24,7 +24,7 @@ LIFE_TIMEOUT_NS = 8_000_000_000
 """A reader looks up every 50 ms, and every 2 s while its port is away."""
 FLOW_TIMEOUT_NS = 2_000_000_000
 """How long samples may lie before the pipeline takes one."""
-DIRT = ("bad_", "skipped_", "short_", "unknown_", "garbage", "framing_", "overrun", "rejected")
+DIRT = ("bad_", "skipped_", "short_", "unknown_", "garbage", "framing_", "overrun", "rejected", "stuck")
 """Beginnings of the counts that tell of dirt on a line."""
 
 

@@ -3,6 +3,7 @@
 import sys
 import threading
 import time
+from collections import Counter, deque
 from dataclasses import astuple
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,6 +16,7 @@ from rich.text import Text
 
 from drivers.clock import SystemClock
 from service.commands.check_bounds import check_bounds
+from service.commands.line_rates import rate_that_is_understood
 from service.config import load
 from service.devices import Device, wiring
 from service.health import DeviceState, Health
@@ -23,6 +25,16 @@ from service.reader import Reader
 from service.sample_queue import SampleQueue
 
 EXIT_USAGE = 2
+LOOK_S, LOOKS = 0.2, 10
+"""Devices are looked at so often, and judged by so many looks."""
+NO_SAMPLES = {
+    "imu": "speaks MAVLink, but sends none of the messages that are read; have it send HIGHRES_IMU and ATTITUDE",
+    "gps": "speaks NMEA, but tells no position that can be used; give the antenna a view of the sky, and wait",
+    "encoders": "gives CAN frames, but not both counters; check devices.encoders.left and .right against the DBC file",
+}
+"""Where frames are understood and make no sample."""
+SPEAK_BY_THEMSELVES = ("imu", "gps")
+"""Devices that need no asking: their rate can be found by listening. The scanner's is found in any case."""
 
 
 def check(
@@ -30,7 +42,7 @@ def check(
     config: Path | None = None,
     bounds: Path | None = None,
     report: Path | None = None,
-    seconds: Annotated[float, Parameter(validator=validators.Number(gte=0, lte=600))] = 8.0,
+    seconds: Annotated[float, Parameter(validator=validators.Number(gte=0, lte=600))] = 12.0,
 ) -> int:
     """Check the configuration, then listen to every device and say what is wrong and how to mend it.
 
@@ -47,7 +59,8 @@ def check(
     report
         With --bounds: write the same to this file as JSON.
     seconds
-        How long to listen; 0 checks the configuration alone.
+        How long to listen at most: it is enough when all devices have streamed for two seconds. 0 checks the
+        configuration alone.
     """
     if bounds is not None:
         return check_bounds(bounds, config, report)
@@ -66,21 +79,28 @@ def check(
         for reader in readers:
             reader.start()
         deadline = time.monotonic() + seconds
+        looks = {device.name: deque[DeviceState](maxlen=LOOKS) for device in devices}
         with console.status("listening to the devices"):
-            while not ended.wait(0.2) and time.monotonic() < deadline:
+            while not ended.wait(LOOK_S) and time.monotonic() < deadline:
                 queue.take(0)
+                for name, seen in looks.items():
+                    seen.append(health.state(name, time.monotonic_ns()))
+                if all(list(seen) == LOOKS * [DeviceState.STREAMING] for seen in looks.values()):
+                    break
         snapshot = health.snapshot(time.monotonic_ns())["devices"]
         for reader in readers:
             reader.stop()
-    table = Table("device", "state", "samples/s", "bytes/s", Column("port", overflow="fold"), box=SIMPLE)
+    table = Table("device", "state", "samples/s", "bytes/s", "damaged", Column("port", overflow="fold"), box=SIMPLE)
     remarks, problems = [], []
     for device, reader in zip(devices, readers, strict=True):
         row = snapshot[device.name]
+        if looks[device.name]:  # not what it was in the last instant, but what it mostly was of late
+            row["state"] = Counter(looks[device.name]).most_common(1)[0][0].value
         state, port = Text(row["state"].lower()), Text(device.port)
-        table.add_row(device.name, state, f"{row['samples_per_s']:.1f}", f"{row['bytes_per_s']:.0f}", port)
+        rates = f"{row['samples_per_s']:.1f}", f"{row['bytes_per_s']:.0f}"
+        table.add_row(device.name, state, *rates, f"{100 * _damaged(row):.1f} %", port)
         remarks.append(_remark(device, row, reader))
-        if row["state"] != DeviceState.STREAMING:
-            problems.append(_advice(device, row, reader))
+        problems += _problems(device, row, reader)
     console.print(table)
     for line in filter(None, remarks):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
@@ -91,6 +111,12 @@ def check(
     return 1 if problems else 0
 
 
+def _damaged(row: dict[str, Any]) -> float:
+    """The share of a device's bytes that belong to no frame."""
+    skipped, total = int(row["counts"].get("skipped_bytes", 0)), int(row["bytes"])
+    return min(1.0, skipped / max(1, total))
+
+
 def _remark(device: Device, row: dict[str, Any], reader: Reader) -> str:
     """Who the device says that it is, and what its protocol has counted."""
     identity = getattr(reader.protocol, "identity", None)
@@ -99,19 +125,41 @@ def _remark(device: Device, row: dict[str, Any], reader: Reader) -> str:
     return f"{device.name}: {' '.join(words)}" if words else ""
 
 
-def _advice(device: Device, row: dict[str, Any], reader: Reader) -> str:
+def _problems(device: Device, row: dict[str, Any], reader: Reader) -> list[str]:
     """What is wrong with a device, and what to do."""
+    name, port, counts = device.name, device.port, row["counts"]
     state = getattr(reader.protocol, "state", "")
     where = f" ({state})" if state else ""
+    problems = []
     match row["state"]:
         case DeviceState.CONNECTING | DeviceState.LOST:
-            return f"{device.name}: {row['failure'] or f'{device.port}: not opened yet; listen longer (--seconds)'}"
+            problems.append(f"{name}: {row['failure'] or f'{port}: not opened yet; listen longer (--seconds)'}")
         case DeviceState.STALE:
-            return f"{device.name}: {device.port} is silent{where}; check the device's power, its cable, and its rate"
-        case _ if state.startswith("halted"):
-            return f"{device.name}: {device.port}: {state}"
-        case _:
-            return (
-                f"{device.name}: {device.port} gives bytes that are partly or wholly not understood{where}; "
-                "check the rate, the wiring, and that the right device is on this port"
+            problems.append(f"{name}: {port} is silent{where}; check the device's power, its cable, and its rate")
+        case DeviceState.DEGRADED if state.startswith("halted"):
+            problems.append(f"{name}: {port}: {state}")
+        case DeviceState.DEGRADED if not row["samples"]:
+            understood = counts.get("frames", 0) + counts.get("sentences", 0)
+            what = NO_SAMPLES.get(name) if understood else None
+            problems.append(f"{name}: {port} {what or f'gives bytes that are not understood{where}; {_mend(device)}'}")
+        case DeviceState.DEGRADED if _damaged(row) > 0:
+            problems.append(
+                f"{name}: {100 * _damaged(row):.1f} % of the bytes from {port} are damaged{where}; check its plug, its "
+                "cable and shield, and the ground between both ends"
             )
+        case DeviceState.DEGRADED if not counts.get("stuck"):
+            problems.append(f"{name}: {port} is not at its best{where}: see its counts above")
+    if counts.get("stuck"):
+        sensors = str(getattr(getattr(reader.protocol, "identity", None), "sensors", "")).split(", ")
+        stuck = [sensor for sensor in sensors if sensor.endswith("(stuck)")]
+        if stuck:
+            problems.append(f"{name}: {', '.join(stuck)}: its readings never change; check this sensor and its supply")
+    return problems
+
+
+def _mend(device: Device) -> str:
+    """For bytes that nothing can be made of: the rate, if another one is understood."""
+    rate = rate_that_is_understood(device) if device.name in SPEAK_BY_THEMSELVES else None
+    if rate is not None:
+        return f"the device speaks at {rate} baud: set devices.{device.name}.baud = {rate}"
+    return "check the rate, the wiring, and that the right device is on this port"

@@ -11,6 +11,7 @@ from cyclopts import App, Parameter
 from drivers.errors import CaptureError
 from drivers.sick_lms.telegrams import Variant
 from service.json_lines import counts_line, print_samples
+from service.live_line import LiveLine
 from service.passive import (
     EncodersFile,
     GpsFile,
@@ -31,7 +32,10 @@ LmsVariant: TypeAlias = Literal["180/1", "180/0.5", "100/1", "100/0.5", "100/0.2
 app = App(
     name="decode",
     help="Raw bytes of one device, from a file, as JSON Lines on standard output; counts go to standard error.",
-    help_epilogue="FILE may be - for standard input. One JSON object a line; absent values are null.",
+    help_epilogue=(
+        "FILE may be - for standard input. One JSON object a line; absent values are null. Bytes of a drive that was "
+        "recorded as .mcap: terrabound replay. Try: terrabound decode gps receiver.nmea | head -3"
+    ),
 )
 
 
@@ -120,13 +124,15 @@ def gps(file: File, /, *, gst_factor: float = 5.0, range_error_m: float = 5.0) -
 def _decode(decoder: PassiveDecoder, file: Path) -> int:
     """Print what the decoder finds, a chunk at a time, however long the file is."""
     printed = byte_count = 0
-    stream = _open(file)
+    stream, live = _open(file), LiveLine()
     try:
         for data in _chunks(file, stream):
             byte_count += len(data)
             printed += print_samples(decoder.receive_data(data))
+            live.show(f"{file}: {printed} lines from {byte_count / 1e6:.1f} MB")
         printed += print_samples(decoder.finish())
     finally:
+        live.clear()
         print(counts_line(byte_count, printed, decoder.counts), file=sys.stderr)
     if byte_count and not printed:
         print("terrabound: nothing in these bytes could be decoded; are they of this device?", file=sys.stderr)

@@ -19,6 +19,7 @@ from drivers.transports import Transport, open_serial, open_socketcan
 from service.devices import NOW_OR_LATER
 from service.json_lines import counts_line, print_samples
 from service.lifecycle import stop_on_signals
+from service.live_line import LiveLine
 from service.passive import encoders_config, gps_config, imu_config, laser_config, read_dbc
 
 LONGEST_READ_S = 0.05
@@ -31,8 +32,9 @@ app = App(
     name="listen",
     help="One device on a live port, as JSON Lines on standard output, until Ctrl-C; counts go to standard error.",
     help_epilogue=(
-        "The lines are those of `terrabound decode`; stamp_ns is the host's monotonic clock. Ports that are in use by "
-        "another process (a running service) are refused."
+        "The lines are those of `terrabound decode`; stamp_ns is the host's monotonic clock, the middle of when it may "
+        "have been. Ports that are in use by another process (a running service) are refused. Try it without hardware: "
+        "terrabound emulate imu --link imu, and elsewhere: terrabound listen imu imu | head -3"
     ),
 )
 
@@ -175,16 +177,19 @@ def _listen(
     printed = 0
     wire = _Wire(open_port(), ended, until_ns, baud)
     protocol, *others = candidates
+    live = LiveLine()
     try:
         with stop_on_signals(ended):
             while True:
                 for samples in wire.converse(protocol):
                     printed += print_samples((sample.stamp.mid_ns, sample) for sample in samples)
+                    live.show(f"{wire.port}: {printed} lines from {wire.byte_count} bytes; Ctrl-C ends it")
                 if ended.is_set() or not others or not _halted(protocol):
                     break
                 protocol, *others = others
     finally:
         wire.close()
+        live.clear()
         print(counts_line(wire.byte_count, printed, protocol.counts), file=sys.stderr)
     if _halted(protocol):
         print(f"terrabound: {wire.port}: {getattr(protocol, 'state', '')}", file=sys.stderr)

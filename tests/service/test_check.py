@@ -26,12 +26,13 @@ def test_a_robot_that_works_passes_and_a_missing_device_is_told(
         assert robot.stdout is not None
         robot.stdout.readline()  # its ports are there
         try:
-            # Its progress must not fill the pipe: 8 s of it are a few kilobytes.
-            code = run_command(["check", "--config", str(config), "--seconds", "8"])
+            # Its progress must not fill the pipe: a minute of it is 40 kilobytes.
+            code = run_command(["check", "--config", str(config), "--seconds", "60"])
             text = capfd.readouterr().out
             assert code == 0, text
             assert "all devices stream" in text
             assert "laser: LMS221" in text
+            assert "imu: system 1 component 1: HIGHRES_IMU 0" in text
             config.write_text(config.read_text().replace("ports/gps", "ports/none"))
             code = run_command(["check", "--config", str(config), "--seconds", "2"])
             assert code == 1
@@ -39,3 +40,23 @@ def test_a_robot_that_works_passes_and_a_missing_device_is_told(
         finally:
             robot.terminate()
             robot.communicate(timeout=30)
+
+
+def test_a_wrong_rate_is_found_and_named(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """The device's own rate is named for the configuration; other devices that are missing are told beside it."""
+    config = tmp_path / "robot.toml"
+    text = shipped_config("demo.toml").read_text().replace('port = "ports/imu"', 'port = "ports/imu"\nbaud = 57600')
+    config.write_text(text)
+    (tmp_path / "tracks.dbc").write_text(shipped_config("tracks.dbc").read_text())
+    command = [sys.executable, "-m", "service.cli", "emulate", "imu", "--link", str(tmp_path / "ports" / "imu")]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as board:
+        assert board.stderr is not None
+        board.stderr.readline()  # its port is there
+        try:
+            assert run_command(["check", "--config", str(config), "--seconds", "1"]) == 1
+            said = capfd.readouterr().out
+            assert "the device speaks at 115200 baud: set devices.imu.baud = 115200" in said
+            assert "ports/gps: no such port" in said
+        finally:
+            board.terminate()
+            board.communicate(timeout=30)

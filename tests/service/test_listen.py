@@ -1,6 +1,9 @@
 """One device on a live port: the real command against emulated devices on pseudo-terminals, in real time."""
 
+import contextlib
 import json
+import os
+import pty
 import signal
 import subprocess
 import sys
@@ -130,3 +133,26 @@ def test_an_unplugged_port_ends_with_a_line(tmp_path: Path) -> None:
     assert process.returncode == 1
     assert "imu: the port went away" in told
     assert told.startswith("counts: ")
+
+
+def test_on_a_terminal_a_line_tells_how_far_it_is_and_ctrl_c_ends_it(tmp_path: Path) -> None:
+    """The data goes to a file, the live line to the terminal; one Ctrl-C: counts, exit 0, every line whole."""
+    terminal, terminal_of_process = pty.openpty()
+    command = [sys.executable, "-m", "service.cli", "listen", "imu", str(tmp_path / "imu")]
+    with emulated(imu=tmp_path / "imu"), (tmp_path / "lines").open("w+") as lines:
+        process = subprocess.Popen(command, stdout=lines, stderr=terminal_of_process)
+        os.close(terminal_of_process)
+        told = b""
+        while b"Ctrl-C ends it" not in told:
+            told += os.read(terminal, 4096)
+        process.send_signal(signal.SIGINT)
+        with contextlib.suppress(OSError):  # a terminal without a process ends with an error
+            while more := os.read(terminal, 4096):
+                told += more
+        assert process.wait(30) == 0
+        os.close(terminal)
+        lines.seek(0)
+        assert all(json.loads(line)["kind"] == "inertial" for line in lines)
+    assert b"imu: " in told
+    assert b"counts: bytes=" in told
+    assert b"Traceback" not in told
