@@ -41,6 +41,8 @@ lint: $(READY)
 
 prove: $(READY)
 	$(BIN)/python -m bench.prove_parsers
+	$(BIN)/python -m bench.prove_poses --page
+	$(BIN)/python -m bench.prove_poses --set ellipsoid --steps 100000 --seeds 40
 	$(BIN)/python -m bench.prove
 
 bench: $(READY)
