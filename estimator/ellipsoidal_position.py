@@ -25,7 +25,7 @@ from estimator.gps_window import GpsWindow
 from estimator.inconsistency import Journal
 from estimator.interval import ULP, Interval, add, meet, mid, reach, sub, up, widen
 from estimator.motion import TrackBounds, Tracked, relative_yaw, relative_yaw_between, tracked
-from estimator.position import ANYWHERE_M, EARTH, MAP, PositionChain, Step, surround
+from estimator.position import ANYWHERE_M, EARTH, MAP, PositionChain, Step
 
 WIDEST_YAW = 1.0
 """rad: beyond this half-width there is no ellipsoid."""
@@ -48,12 +48,12 @@ class PlanarSet:
         self.first = True
 
     def begin(self, x: Interval, y: Interval, yaw: Interval, bias: Interval) -> None:
-        """Anew, around a box; none if that is too wide."""
+        """Anew, around a box; none if that is too wide, or empty."""
         axes = (x, y, yaw, bias)
         middle = np.array([mid(axis) for axis in axes])
         half = np.array([reach(axis, c) for axis, c in zip(axes, middle, strict=True)])
         self.set, self.first = None, True
-        if half[YAW] < WIDEST_YAW and max(half[X], half[Y]) < ANYWHERE_M:
+        if 0.0 <= half.min() and half[YAW] < WIDEST_YAW and max(half[X], half[Y]) < ANYWHERE_M:
             self.set = box(middle, half, UNITS)
             self.kept = memory()
 
@@ -77,7 +77,8 @@ class EllipsoidalPosition(PositionChain):
         """Here x = y = z = yaw = 0; False if the attitude chain doesn't reach back so far."""
         begun = super().begin(ticks)
         if begun:
-            self._begin_sets(self._gyro_node())
+            node = self._gyro_node()
+            self._begin_sets(node, self._attitude.bias_since(node))
         return begun
 
     def predict(self, ticks: WheelTicks) -> Step:
@@ -85,7 +86,8 @@ class EllipsoidalPosition(PositionChain):
         start, first, undone = self._gyro_node(), self._fresh_count, self._pending.copy()
         step = super().predict(ticks)
         turns, attitude = self._attitude.tube, self._attitude
-        after, before = self._gyro_node(), min(step.before, start)
+        before = min(step.before, start)
+        after = step.after if turns.effort[step.after, 2] == self._turned_until else start
         seconds = up((int(turns.times[after, 1]) - int(turns.times[start, 0])) * 1e-9)
         aged, bias = up(attitude.gyro.bias_drift * seconds), attitude.bias_since(before)
         turned_known = turns.heading[after, 2] - turns.heading[before, 2] < WIDEST_YAW
@@ -102,8 +104,8 @@ class EllipsoidalPosition(PositionChain):
             ):  # fmt: skip
                 self._journal.report("gyro", ticks.stamp.mid_ns, inf, "rad/s")
             one.first = False
-        self._show(after)
-        self._begin_sets(after)
+        self._show(after, bias)
+        self._begin_sets(after, bias)
         return step
 
     def contract(self, narrowed: NDArray[np.float64], yaws: NDArray[np.float64]) -> bool:
@@ -120,8 +122,8 @@ class EllipsoidalPosition(PositionChain):
                         each.set.centre[:], each.set.shape[:] = kept
                 return False
         super().contract(narrowed, yaws)
-        self._begin_sets(after)
-        self._show(after)
+        self._begin_sets(after, bias)
+        self._show(after, bias)
         here = self.tube.box[self.tube.newest]
         here[:, 0], here[:, 1] = np.maximum(here[:, 0], narrowed[:, 0]), np.minimum(here[:, 1], narrowed[:, 1])
         return True
@@ -138,18 +140,20 @@ class EllipsoidalPosition(PositionChain):
         efforts = turns.effort[turns.begin : turns.end, 2]  # each larger than the one before
         return min(turns.begin + int(np.searchsorted(efforts, self._turned_until)), turns.newest)
 
-    def _begin_sets(self, node: int) -> None:
+    def _begin_sets(self, node: int, bias: Interval) -> None:
         """Ellipsoids around the boxes, where there are none and yaw is known; the count's error begins anew."""
+        if all(one.set is not None for one in self.sets):
+            return
         turns, here = self._attitude.tube, self.tube.newest
         around = turns.before(int(self.tube.times[here, 0]))
         if around < turns.begin:
             return
-        slack, bias = self.turned_around(around), self._attitude.bias_since(node)
+        slack = self.turned_around(around)
         ahead = relative_yaw(turns.heading[turns.newest], turns.heading[node], bias)
         for one in self.sets:
-            if one.set is None:
+            yaw, newest = turns.box[node, one.yaw], turns.box[turns.newest, one.yaw]
+            if one.set is None and newest[1] - newest[0] < 2.0 * WIDEST_YAW:
                 x, y = self.tube.box[here, one.place], self.tube.box[here, one.place + 1]
-                yaw, newest = turns.box[node, one.yaw], turns.box[turns.newest, one.yaw]
                 one.begin(
                     widen((x[0], x[1]), slack),
                     widen((y[0], y[1]), slack),
@@ -157,19 +161,14 @@ class EllipsoidalPosition(PositionChain):
                     bias,
                 )
 
-    def _show(self, node: int) -> None:
+    def _show(self, node: int, bias: Interval) -> None:
         """The ellipsoids' boxes are the chains'. One whose yaw got too wide is let go."""
-        turns, here, bias = self._attitude.tube, self.tube.newest, self._attitude.bias_since(node)
+        turns, here = self._attitude.tube, self.tube.newest
         for one in self.sets:
-            if one.set is None:
-                continue
-            rows = slice(one.place, one.place + 2)
-            show(
-                one.set, one.kept, self._core[rows], self._pending[rows], turns.box[:, one.yaw], turns.heading, node,
-                turns.newest, bias,
-            )  # fmt: skip
-            surround(self._core[rows], self._pending[rows], self.tube.box[here, rows])
-            if half_width(one.set, YAW) > WIDEST_YAW:
+            if one.set is not None and not show(
+                one.set, one.kept, one.place, one.yaw, self._core, self._pending, self.tube.box[here], turns.box,
+                turns.heading, node, turns.newest, bias,
+            ):  # fmt: skip
                 self._journal.counts["ellipsoid_let_go"] += 1
                 self._let_go(one, self._pending.copy())
 
@@ -233,18 +232,25 @@ def correct(e: Ellipsoid, place: NDArray[np.float64], yaw: Interval) -> bool:
 def show(
     e: Ellipsoid,
     kept: NDArray[np.float64],
+    place: int,
+    yaw: int,
     core: NDArray[np.float64],
     pending: NDArray[np.float64],
-    yaws: NDArray[np.float64],
+    here: NDArray[np.float64],
+    turns: NDArray[np.float64],
     headings: NDArray[np.float64],
     node: int,
     newest: int,
     bias: Interval,
-) -> None:
-    """E's outer box: core [2, 2] and pending [2] as in motion.travel, yaws [n, 2] from `node` on, while tied to it."""
+) -> bool:
+    """E's outer box: in rows `place` and the next of core and pending (see motion.travel) and of the newest box `here`,
+    and in row `yaw` of the turns [n, c, 2] from `node` on, while tied to it. False if that yaw is too wide.
+    """
     for i in range(2):
-        core[i, 0], core[i, 1] = extent(e, i)
-        pending[i] = kept[8 + i]
+        core[place + i, 0], core[place + i, 1] = extent(e, i)
+        pending[place + i] = kept[8 + i]
+        here[place + i, 0], here[place + i, 1] = widen(extent(e, i), kept[8 + i])
     for k in range(node, newest + 1):
         if headings[k, 2] - headings[node, 2] < WIDEST_YAW:
-            yaws[k, 0], yaws[k, 1] = add(extent(e, YAW), relative_yaw(headings[k], headings[node], bias))
+            turns[k, yaw, 0], turns[k, yaw, 1] = add(extent(e, YAW), relative_yaw(headings[k], headings[node], bias))
+    return half_width(e, YAW) <= WIDEST_YAW
