@@ -1,11 +1,13 @@
 """What the owner declares of the robot's motion, and how the filter is set."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from drivers.config import STRICT, NotNegative, Positive
+
+SetName: TypeAlias = Literal["box", "ellipsoid"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -37,7 +39,7 @@ class RobotConfig:
 class FilterConfig:
     """How the filter runs."""
 
-    set: Literal["box", "ellipsoid"] = "box"
+    set: SetName = "box"
     """What x, y and yaw are kept as: boxes and a window of fixes, the tighter one; or the paper's ellipsoid."""
     reordering_window_ms: Positive = 100.0
     """Samples are taken in the order of their stamps inside this window; later ones are dropped and counted."""

@@ -39,7 +39,7 @@ from estimator.interval import (
 from estimator.motion import Tracked
 
 X, Y, YAW, BIAS = range(4)
-UNITS = np.array([1.0, 1.0, 0.1, 0.005])
+UNITS = np.array([1.0, 1.0, 0.2, 0.05])
 """m, m, rad, rad/s."""
 ROUGHLY = 1.0 + 2.0**-40
 """More than all relative rounding of a remainder, a sum of non-negative numbers."""

@@ -53,7 +53,7 @@ class PlanarSet:
         middle = np.array([mid(axis) for axis in axes])
         half = np.array([reach(axis, c) for axis, c in zip(axes, middle, strict=True)])
         self.set, self.first = None, True
-        if 0.0 <= half.min() and half[YAW] < WIDEST_YAW and max(half[X], half[Y]) < ANYWHERE_M:
+        if half.min() >= 0.0 and half[YAW] < WIDEST_YAW and max(half[X], half[Y]) < ANYWHERE_M:
             self.set = box(middle, half, UNITS)
             self.kept = memory()
 

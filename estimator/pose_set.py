@@ -26,7 +26,7 @@ from drivers.samples import ABSENT3, Fix, InertialSample, WheelTicks
 from estimator.anchoring import Anchoring
 from estimator.attitude import EARTH_YAW, MAP_YAW, AttitudeChain
 from estimator.bounded_pose import Anchor
-from estimator.config import FilterConfig, RobotConfig
+from estimator.config import FilterConfig, RobotConfig, SetName
 from estimator.ellipsoidal_position import EllipsoidalPosition
 from estimator.inconsistency import Journal
 from estimator.position import EARTH, MAP, NO_EPOCH, PositionChain
@@ -36,7 +36,7 @@ from estimator.tube import poses_between
 PENDING = 4096
 """Samples that may wait for the chain they depend on; the oldest are dropped."""
 
-POSITION_CHAINS: dict[str, type[PositionChain]] = {"box": PositionChain, "ellipsoid": EllipsoidalPosition}
+POSITION_CHAINS: dict[SetName, type[PositionChain]] = {"box": PositionChain, "ellipsoid": EllipsoidalPosition}
 """The sets a pose can be kept as."""
 
 

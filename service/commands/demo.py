@@ -24,6 +24,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from drivers.clock import LockstepClock
 from drivers.errors import TerraboundError
 from estimator.bounded_pose import BoundedPose
+from estimator.config import SetName
 from service.commands.emulate import Law, Speed
 from service.commands.emulated import EmulatedRobot
 from service.commands.evaluation import draw_evaluation, evaluate, results_table
@@ -42,6 +43,7 @@ def demo(
     speed: Speed = "max",
     seed: int = 1,
     errors: Law = "uniform",
+    pose_set: Annotated[SetName, Parameter(name="--set")] = "box",
     output: Path = Path("demo-output"),
     report: Path | None = None,
 ) -> int:
@@ -63,6 +65,8 @@ def demo(
         Of terrain, slip and sensor errors: the same seed gives the same drive.
     errors
         How sensor errors are drawn inside their declared bounds.
+    pose_set
+        What the pose is kept as: the tighter default, or the ellipsoid of the paper's filter.
     output
         Folder for the results; made if it is not there.
     report
@@ -73,7 +77,7 @@ def demo(
     (output / "drive.mcap").unlink(missing_ok=True)
     with ExitStack() as stack:
         ports = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="terrabound-")))
-        loaded = demo_configuration(ports)
+        loaded = demo_configuration(ports, pose_set)
         robot = stack.enter_context(
             EmulatedRobot(
                 ports / "demo.toml", ports, scene=scene, duration_s=duration, speed=speed, seed=seed, errors=errors
@@ -113,7 +117,7 @@ def demo(
     return 0 if evaluation.sound and evaluation.remote_equal else 1
 
 
-def demo_configuration(folder: Path) -> LoadedConfig:
+def demo_configuration(folder: Path, pose_set: SetName = "box") -> LoadedConfig:
     """The demo's configuration: ports in `folder`, and a free TCP port for the subscriber."""
     source = shipped_config("demo.toml")
     shutil.copy(shipped_config("tracks.dbc"), folder)
@@ -122,6 +126,7 @@ def demo_configuration(folder: Path) -> LoadedConfig:
         probe.bind(("127.0.0.1", 0))
         free = probe.getsockname()[1]
     text = source.read_text(encoding="utf-8").replace("tcp/127.0.0.1:7447", f"tcp/127.0.0.1:{free}")
+    text = text.replace('set = "box"', f'set = "{pose_set}"')
     (folder / "demo.toml").write_text(text, encoding="utf-8")
     return load(folder / "demo.toml")
 

@@ -51,6 +51,7 @@ def test_all_mistakes_come_at_once() -> None:
         ("latency_ms = [38.0, 50.0]", "latency_ms = 38.0", "devices.gps.latency_ms"),
         ("resolution_deg = 1.0", "resolution_deg = 0.3", "devices.laser.resolution_deg"),
         ("[robot]", "[robbot]", "robbot"),
+        ('set = "box"', 'set = "zonotope"', "filter.set"),
         ("[map]", "[map]\nmax_tile = 3", "map.max_tile"),
         ('interface = "slcan"', 'interface = "serial"', "devices.encoders.interface"),
     ],

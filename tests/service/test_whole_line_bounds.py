@@ -37,6 +37,17 @@ def test_no_truth_is_ever_outside(demo: LoadedConfig, law: str, scene: str) -> N
     assert drive.pipeline.map.counts["too_wide"] == 0
 
 
+@pytest.mark.parametrize("law", LAWS)
+def test_no_truth_is_ever_outside_the_papers_set_either(demo: LoadedConfig, law: str) -> None:
+    """The same with `[filter] set = "ellipsoid"`, over rough ground."""
+    config = replace(demo.config, filter=replace(demo.config.filter, set="ellipsoid"))
+    drive = drive_virtually(replace(demo, config=config), scene="rough", law=law, seed=12, duration_s=5.0)
+    pose_violations, cell_violations, hits = drive.violations()
+    assert (pose_violations, cell_violations) == (0, 0)
+    assert drive.pipeline.filter.guarantee.intact
+    assert hits > 20_000
+
+
 @pytest.mark.parametrize(
     ("device", "bounds", "scene"),
     [

@@ -143,10 +143,12 @@ def test_record_keeps_what_replays(folder: Path, robot: subprocess.Popen[bytes],
     assert int(np.isfinite(load_map(tmp_path / "map.npz").low).sum()) > 500
 
 
-def test_the_demo_holds_all_its_promises(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kept", ["box", "ellipsoid"])
+def test_the_demo_holds_all_its_promises(tmp_path: Path, kept: str) -> None:
     """Exit 0; the report has every field; nothing true was outside its bounds; the remote copy is the robot's map."""
     report = tmp_path / "report.json"
-    with terrabound("demo", "--duration", 8, "--output", tmp_path / "out", "--report", report) as demo:
+    arguments = ("--duration", 8, "--set", kept, "--output", tmp_path / "out", "--report", report)
+    with terrabound("demo", *arguments) as demo:
         _, said = demo.communicate(timeout=2 * PATIENCE_S)
         assert demo.returncode == 0, said.decode()
     result = json.loads(report.read_text())
