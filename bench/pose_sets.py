@@ -11,7 +11,7 @@ Two boxes are measured of each of our filters:
 import argparse
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import cos, pi, remainder, sin
 from pathlib import Path
 from typing import Protocol
@@ -158,6 +158,7 @@ class Ekf:
 
 METHODS: dict[str, Callable[[GpsClass, World], Contender]] = {
     "default": lambda gps, world: SetFilter(gps, world, FILTER),
+    "ellipsoid": lambda gps, world: SetFilter(gps, world, replace(FILTER, set="ellipsoid")),
     "EKF 3 sigma": lambda gps, world: Ekf(gps, world, FILTER),
 }
 
