@@ -18,13 +18,16 @@ class ContactConfig:
     track's give, grousers."""
 
 
+MOST_TILES = 1_000_000
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class MapConfig:
     """The elevation map."""
 
     resolution_m: Annotated[float, Field(ge=0.005, le=10.0)]
     """Side of a cell."""
-    max_tiles: Annotated[int, Field(ge=16, le=1_000_000)] = 4096
+    max_tiles: Annotated[int, Field(ge=16, le=MOST_TILES)] = 4096
     """Memory cap, in tiles of 64 x 64 cells (33 KiB each). With a store, the farthest tiles leave for it well before;
     otherwise what falls outside is counted, not mapped."""
     rolling: bool = False

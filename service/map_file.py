@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from itertools import chain
 from pathlib import Path
 
+from estimator.bounded_pose import Anchor
 from mapper.saved_map import assemble, save
 from mapper.tile import Tile
 from service.messages import write_anchor
@@ -16,7 +17,11 @@ def save_map(pipeline: Pipeline, path: Path, out_of_memory: Iterable[Tile] = ())
 
     `out_of_memory`: its tiles that are in the store alone.
     """
-    anchor = pipeline.filter.anchor
-    place = "" if anchor is None else write_anchor(anchor).decode()
     tiles = chain(pipeline.map.tiles(), out_of_memory)
-    save(assemble(tiles, pipeline.map.config.resolution_m, MAP_FRAME, place), path)
+    save_tiles(tiles, pipeline.map.config.resolution_m, pipeline.filter.anchor, path)
+
+
+def save_tiles(tiles: Iterable[Tile], resolution_m: float, anchor: Anchor | None, path: Path) -> None:
+    """Save these tiles of one map as `.npz`. Raises MapFileError where it can't be written."""
+    place = "" if anchor is None else write_anchor(anchor).decode()
+    save(assemble(tiles, resolution_m, MAP_FRAME, place), path)

@@ -7,18 +7,19 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from drivers.capture import CaptureWriter
 from drivers.clock import Clock
 from drivers.errors import CaptureError, TerraboundError
-from estimator.bounded_pose import BoundedPose
+from estimator.bounded_pose import Anchor, BoundedPose
 from mapper.tile import Tile, join
 from service.config import LoadedConfig
 from service.devices import Device, can_frames, wiring
 from service.health import Health
-from service.map_file import save_map
+from service.map_file import save_map, save_tiles
 from service.map_keeper import EarlierSubmaps, MapKeeper, Unkept
 from service.messages import TileId
 from service.pipeline import Pipeline
@@ -118,6 +119,8 @@ class Onboard:
         self._counted_ns = 0
         self._uncounted = False
         self._save_wanted = threading.Event()
+        self._saver: threading.Thread | None = None
+        """Writes the map's file in passing."""
         self._resources = ExitStack()
         self._readers: list[Reader] = []
         self._thread = threading.Thread(target=self._map, name="pipeline", daemon=True)
@@ -156,6 +159,8 @@ class Onboard:
         self._stopping.set()
         if self._thread.is_alive():
             self._thread.join()
+        if self._saver is not None:
+            self._saver.join()
         try:
             if self._keep:
                 self.save_map()
@@ -174,11 +179,15 @@ class Onboard:
 
     def save_map(self, path: Path | None = None) -> None:
         """Write the map to `path`, or to where the configuration wants it. Call it once the pipeline has ended."""
-        wanted = self._loaded.config.store.map
-        if path is None and wanted is not None:
-            path = self._loaded.path(wanted)
+        path = self._map_path if path is None else path
         if path is not None:
             save_map(self.pipeline, path, self.keeper.kept())
+
+    @property
+    def _map_path(self) -> Path | None:
+        """Where the configuration wants the map's file."""
+        wanted = self._loaded.config.store.map
+        return None if wanted is None else self._loaded.path(wanted)
 
     def _end_recording(self, capture: CaptureWriter) -> None:
         """Close the capture; where the disk refuses its index, the recording replays without it."""
@@ -188,9 +197,20 @@ class Onboard:
             self.health.trouble("recording", str(error))
 
     def _save_in_passing(self) -> None:
+        """Copy the map, and have a thread write it: nothing else waits for the disk. One at a time."""
+        path, busy = self._map_path, self._saver is not None and self._saver.is_alive()
+        if path is not None and not busy:
+            tiles, anchor = self.pipeline.map.tiles(), self.pipeline.filter.anchor
+            self._saver = threading.Thread(
+                target=self._write_copy, args=(tiles, anchor, path), name="saver", daemon=True
+            )
+            self._saver.start()
+
+    def _write_copy(self, tiles: tuple[Tile, ...], anchor: Anchor | None, path: Path) -> None:
         """Save while running: a full disk is told, and mapping goes on."""
         try:
-            self.save_map()
+            whole = chain(tiles, self.keeper.kept())
+            save_tiles(whole, self.pipeline.map.config.resolution_m, anchor, path)
         except TerraboundError as error:
             self.health.trouble("saving", str(error))
         else:
@@ -239,7 +259,7 @@ class Onboard:
         self._counted_ns = now_ns
         counts = pipeline.counts | {f"filter_{name}": count for name, count in pipeline.filter.counts.items()}
         counts |= {f"late_{name}": count for name, count in pipeline.late.items()}
-        counts |= {f"map_{name}": count for name, count in pipeline.map.counts.items()}
+        counts |= {f"map_{name}": count for name, count in (pipeline.map.counts + self._window.counts).items()}
         counts["scans_waiting"] = pipeline.waiting_scans
         self.health.processed(now_ns, counts, pipeline.filter.guarantee)
         for name, total in self.queue.dropped.items():

@@ -2,9 +2,11 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 
 from drivers.capture import RawChunk
 from estimator.bounded_pose import BoundedPose
+from mapper.config import MOST_TILES
 from service.config import LoadedConfig
 from service.devices import wiring
 from service.lateness import Lateness
@@ -45,7 +47,11 @@ def replay(
     loaded: LoadedConfig, chunks: Iterable[RawChunk], on_pose: Callable[[BoundedPose], None] | None = None
 ) -> Pipeline:
     """Feed recorded chunks to the filter and the mapper; the pipeline that comes back has finished."""
-    pipeline = Pipeline(loaded.config, on_pose)
+    config = loaded.config
+    if config.store.path is not None:
+        # What left memory for the store then, stays in it now.
+        config = replace(config, map=replace(config.map, max_tiles=MOST_TILES))
+    pipeline = Pipeline(config, on_pose)
     for arrival in arrivals(loaded, chunks, pipeline.counts):
         pipeline.step(arrival)
     pipeline.finish()

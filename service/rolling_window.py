@@ -3,6 +3,8 @@
 Without a store nothing leaves, unless the owner wants a rolling map: then the farthest are forgotten, and counted.
 """
 
+from collections import Counter
+
 import numpy as np
 
 from estimator.bounded_pose import BoundedPose
@@ -21,6 +23,8 @@ class RollingWindow:
     """Keeps the map below its memory cap. Called by the thread that owns the map."""
 
     def __init__(self, config: MapConfig, keeper: MapKeeper | Unkept) -> None:
+        self.counts: Counter[str] = Counter()
+        """Tiles that left memory for the store, or were forgotten."""
         self._full, self._roomy = int(FULL * config.max_tiles), int(ROOMY * config.max_tiles)
         self._tile_m = TILE_SIDE * config.resolution_m
         self._keeper = keeper
@@ -41,7 +45,7 @@ class RollingWindow:
             if self._forgets or self._keeper.is_saved((number, ix, iy)):
                 leaving.append(TileId(number, ix, iy))
         terrain.evict([(place.ix, place.iy) for place in leaving])
-        terrain.counts["tiles_forgotten" if self._forgets else "tiles_left_memory"] += len(leaving)
+        self.counts["tiles_forgotten" if self._forgets else "tiles_left_memory"] += len(leaving)
         if self._forgets:
             return leaving
         self._keeper.left_memory(leaving)

@@ -60,8 +60,10 @@ def test_what_cannot_be_written_is_said(
     assert told in capfd.readouterr().err
 
 
-@pytest.mark.parametrize("layer", ["step", "slope", "roughness", "passable"])
-@pytest.mark.parametrize("suffix", [".tif", ".png"])
+@pytest.mark.parametrize(
+    ("layer", "suffix"),
+    [("step", ".tif"), ("slope", ".png"), ("roughness", ".tif"), ("passable", ".tif"), ("passable", ".png")],
+)
 def test_layers_for_planners_are_exported(layer: str, suffix: str, map_file: Path) -> None:
     """Each as a raster and as a picture, for a robot of given limits."""
     output = map_file.with_name(f"out{suffix}")

@@ -51,7 +51,7 @@ def insert(terrain: ElevationMap, scan: Scan, pose: BoundedPose) -> None:
     terrain.insert(scan, pose.low[None], pose.high[None], np.zeros(181, np.int32))
 
 
-def there_and_back(steps: int = 60) -> Iterator[tuple[Scan, BoundedPose]]:
+def there_and_back(steps: int = 45) -> Iterator[tuple[Scan, BoundedPose]]:
     """A drive that comes back over tiles that have left memory."""
     for number in range(2 * steps):
         yield drive(2.0 * (number if number < steps else 2 * steps - number), number)
@@ -97,9 +97,9 @@ def test_a_drive_larger_than_memory_is_kept_published_and_saved_whole(keeper: Ma
         came_back += len(returned)
         for tile in returned:
             assert rolling.join(tile)
-    assert whole.tile_count > 2 * CAP
+    assert whole.tile_count > 1.5 * CAP
     assert rolling.tile_count <= CAP
-    assert rolling.counts["tiles_left_memory"] > CAP
+    assert window.counts["tiles_left_memory"] > CAP
     assert rolling.counts["beyond_cap"] == rolling.counts["tiles_left_out"] == 0
     assert came_back > CAP // 2
 
@@ -128,7 +128,7 @@ def test_versions_only_rise_and_a_delta_joins_to_what_is_listed(keeper: MapKeepe
     window = RollingWindow(config, keeper)
     copy: dict[TileId, Tile] = {}
     versions: dict[TileId, list[int]] = {}
-    for scan, pose in there_and_back(40):
+    for scan, pose in there_and_back(30):
         insert(rolling, scan, pose)
         changes = rolling.take_dirty()
         keeper.offer(changes, None, INTACT, pose.latest_ns)
@@ -144,7 +144,7 @@ def test_versions_only_rise_and_a_delta_joins_to_what_is_listed(keeper: MapKeepe
         assert ours is not None
         assert ours.tile == tile
     assert all(a < b for numbers in versions.values() for a, b in pairwise(numbers))
-    assert rolling.counts["tiles_left_memory"] > 10
+    assert window.counts["tiles_left_memory"] > 10
 
 
 def test_without_a_store_a_rolling_map_forgets_the_farthest_and_counts_them() -> None:
@@ -158,7 +158,7 @@ def test_without_a_store_a_rolling_map_forgets_the_farthest_and_counts_them() ->
         forgotten += window.roll(terrain, pose)
     assert terrain.tile_count <= CAP
     assert terrain.counts["beyond_cap"] == 0
-    assert terrain.counts["tiles_forgotten"] == len(forgotten) > CAP
+    assert window.counts["tiles_forgotten"] == len(forgotten) > CAP
     reach = max(abs(6.4 * (tile.ix + 0.5) - 118.0) for tile in terrain.tiles())
     assert reach < 80.0
     published = PublishedMap()

@@ -1,0 +1,114 @@
+"""The whole service with less memory than its map needs: copy, store and saved file are the map of the whole drive."""
+
+import socket
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.clock import SystemClock
+from drivers.samples import ABSENT3, Fix, InertialSample, Sample, Scan, Stamp, WheelTicks
+from mapper.saved_map import assemble, load
+from mapper.store_check import open_store
+from mapper.tile import Tile, snap_outward
+from service.client import RemoteMap
+from service.config import LoadedConfig
+from service.config import load as load_config
+from service.messages import TileId
+from service.onboard import Onboard
+from service.pipeline import Pipeline
+from service.sample_queue import Arrival
+from service.shipped import shipped_config
+
+MS = 1_000_000
+BEGIN_NS = 10_000 * MS
+STILL_MS, OUT_MS = 600, 9_000
+PATIENCE_S = 60.0
+
+
+def ticks_at(ms: int) -> int:
+    """0.7 m/s ahead, then back to where it began; 0.2 mm a tick."""
+    driven = max(ms - STILL_MS, 0)
+    return round(3.5 * (driven if driven < OUT_MS else 2 * OUT_MS - driven))
+
+
+def drive() -> Iterator[list[Arrival]]:
+    """What is heard in each tenth of a second, there and back."""
+    for tenth in range((STILL_MS + 2 * OUT_MS) // 100):
+        samples: list[tuple[str, Sample]] = []
+        for ms in range(100 * tenth, 100 * tenth + 100, 10):
+            stamp = Stamp(BEGIN_NS + ms * MS - MS, BEGIN_NS + ms * MS)
+            gyro = InertialSample(stamp, "HIGHRES_IMU", 0, ms * 1000, gyro_rps=(0.0, 0.0, 0.0))
+            tilt = InertialSample(stamp, "ATTITUDE", 0, ms * 1000, accel_mps2=ABSENT3, tilt_rad=(0.001, 0.001))
+            samples += [("imu", gyro), ("imu", tilt), ("encoders", WheelTicks(stamp, ticks_at(ms), ticks_at(ms), 0))]
+        ranges = np.random.default_rng(tenth).uniform(1.0, 7.9, 181)
+        samples.append(("gps", Fix(stamp, None, 48.0, 11.0, 500.0, 1, 1.0, (50.0, 50.0, 50.0))))
+        samples.append(("laser", Scan(stamp, np.zeros(181, np.int64), -np.pi / 2, np.radians(1.0), ranges, 16)))
+        yield [Arrival(device, sample, 0) for device, sample in samples]
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> LoadedConfig:
+    """The demo's robot with room for 64 tiles in memory, and a store."""
+    demo = load_config(shipped_config("demo.toml"))
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        address = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    config = replace(
+        demo.config,
+        map=replace(demo.config.map, max_tiles=64, resolution_m=0.03),
+        publish=replace(demo.config.publish, listen=(address,), digest_period_s=0.2),
+        store=replace(demo.config.store, path=str(tmp_path / "map.db"), interval_s=0.1),
+    )
+    return replace(demo, config=config)
+
+
+def test_a_drive_beyond_memory_reaches_copy_store_and_file_whole(small: LoadedConfig, tmp_path: Path) -> None:
+    """Tiles leave memory and come back meanwhile; what everybody gets equals, bit for bit, the map of roomy memory."""
+    config = small.config
+    roomy = Pipeline(replace(config, map=replace(config.map, max_tiles=4096)))
+    onboard = Onboard(small, SystemClock(), devices=())
+    onboard.start()
+    try:
+        with RemoteMap(config.publish.listen[0]) as remote:
+            most = 0
+            for arrivals in drive():
+                for arrival in arrivals:
+                    roomy.step(arrival)
+                onboard.queue.put(arrivals)
+                deadline = time.monotonic() + PATIENCE_S
+                # A robot is slower than its disk.
+                while not onboard.queue.empty or onboard.keeper.state()["tiles_unsaved"] > 3:
+                    assert onboard.failure is None
+                    assert time.monotonic() < deadline, onboard.health.troubles
+                    time.sleep(0.005)
+                most = max(most, onboard.pipeline.map.tile_count)
+            roomy.finish()
+            onboard.finish()
+            assert onboard.failure is None
+            onboard.save_map(tmp_path / "map.npz")
+            assert onboard.publisher.flush(PATIENCE_S)
+            assert remote.wait_in_sync(PATIENCE_S, final=True)
+            copy = remote.tiles
+    finally:
+        onboard.stop()
+    counts = onboard.pipeline.map.counts
+    assert onboard.keeper.state()["tiles_out_of_memory"] > 10
+    assert roomy.map.tile_count > 64
+    assert most <= 64
+    assert counts["beyond_cap"] == 0
+
+    whole = {TileId(0, tile.ix, tile.iy): snap_outward(tile) for tile in roomy.map.tiles()}
+    assert copy == whole
+    store, findings = open_store(tmp_path / "map.db")
+    assert findings.clean
+    kept: dict[TileId, Tile] = {TileId(tile.submap, tile.ix, tile.iy): tile for tile in store.tiles(0)}
+    store.close()
+    assert kept == whole
+    saved, expected = load(tmp_path / "map.npz"), assemble(whole.values(), config.map.resolution_m, "map")
+    assert saved.origin_m == expected.origin_m
+    for ours, wholes in ((saved.low, expected.low), (saved.high, expected.high)):
+        np.testing.assert_allclose(ours, wholes, rtol=0, atol=2.0**-9)
