@@ -20,6 +20,8 @@ SHORTEST_WAY_M = 3.0
 MOST_TURN = 0.6
 """rad of turning, all axes together, in what counts as a straight run."""
 STANDS_M = 0.01
+HALF_STEP_M = 0.1
+"""Half a step of the coarsest digits in use, 0.0001 minutes, stands in every bound besides."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,7 +154,7 @@ def _turned(ledger: Ledger, turns: Turning | None, begin_ns: Whole, end_ns: Whol
 def _keys(fix: Fix, gps: GpsConfig) -> tuple[str, str, str]:
     """The key that each axis of a fix's bound came from."""
     horizontal = vertical = GST
-    if abs(fix.bound_m[0] - (fix.hdop * gps.range_error_m + gps.floor_horizontal_m)) < 1e-9 * fix.bound_m[0]:
+    if 0.0 <= fix.bound_m[0] - (fix.hdop * gps.range_error_m + gps.floor_horizontal_m) < HALF_STEP_M:
         horizontal = vertical = RANGE
     if fix.quality == RTK_FIXED and gps.rtk_fixed_horizontal_m is not None:
         horizontal = RTK_HORIZONTAL

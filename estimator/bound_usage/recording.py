@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import datetime
 from itertools import pairwise
-from math import isnan
+from math import isfinite, isnan
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,7 +100,8 @@ def record(samples: Iterable[Sample], still_ns: int) -> Recording:
                 still_since = sample
             ticks.append(sample)
         elif isinstance(sample, Fix):
-            fixes.append(sample)
+            if all(map(isfinite, (sample.alt_m, *sample.bound_m))):
+                fixes.append(sample)
         elif (
             len(scans) < MOST_SCANS
             and still_since is not None

@@ -18,6 +18,7 @@ from drivers.gps_nmea.codec import (
     Sentence,
     Velocity,
     parse_content,
+    serialise,
     serialise_gga,
     serialise_gsa,
     serialise_gst,
@@ -26,6 +27,8 @@ from drivers.gps_nmea.codec import (
     serialise_zda,
 )
 from drivers.gps_nmea.fields import Angle, TimeOfDay
+from drivers.gps_nmea.protocol import GpsProtocol
+from service.passive import gps_config
 
 times = st.builds(
     TimeOfDay,
@@ -132,6 +135,20 @@ EVERY_KIND = [
     "GNVTG,90.0,T,,M,1.0,N,1.9,K,A",
     "GNZDA,120000.00,01,01,2024,00,00",
 ]
+
+
+@pytest.mark.parametrize("content", EVERY_KIND)
+@pytest.mark.parametrize("dirt", [b"", b"\x00\xff$GP*", b"$GNGGA,12*", b"\r\n$$$"])
+def test_every_kind_is_read_cut_anywhere_with_dirt_around(content: str, dirt: bytes) -> None:
+    """Whole, cut at every byte, behind dirt and before it: one sentence, understood."""
+    sentence = serialise(content)
+    assert read(sentence) is not None
+    for cut in range(len(sentence) + 1):
+        host = GpsProtocol(gps_config(5.0, 5.0))
+        host.receive_data(dirt + sentence[:cut], 0)
+        host.receive_data(sentence[cut:] + dirt, 0)
+        assert (host.counts["sentences"], host.counts["bad_fields"], host.counts["bad_checksum"]) == (1, 0, 0)
+        assert host.counts["skipped_bytes"] <= 2 * len(dirt)
 
 
 @pytest.mark.parametrize("content", EVERY_KIND)

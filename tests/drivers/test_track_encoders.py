@@ -152,6 +152,29 @@ def test_splits_do_not_matter(cuts: list[int]) -> None:
     assert counts_of(samples) == [(100 * i, 7 * i) for i in range(20)]
 
 
+KINDS_OF_LINES = [
+    b"t1814AABBCCDD\r",
+    b"T000001814AABBCCDD\r",
+    b"r1814\r",
+    b"R000001814\r",
+    b"t1814AABBCCDD1F00\r",
+    b"t1814aabbccdd0001F00A\r",
+]
+
+
+@pytest.mark.parametrize("text", KINDS_OF_LINES)
+@pytest.mark.parametrize("dirt", [b"", b"\x00\xff", b"t181", b"T1FFF\xfe", b"t1814AABB\r\a"])
+def test_every_kind_of_line_is_read_cut_anywhere_with_dirt_around(text: bytes, dirt: bytes) -> None:
+    """Whole, cut at every byte, behind dirt and before it: the frame is there, once."""
+    for cut in range(len(text) + 1):
+        host = protocol()
+        host.receive_data(dirt + text[:cut], 0)
+        host.receive_data(text[cut:] + dirt + b"\r", 0)
+        assert host.counts["frames"] == 1
+        assert host.counts["ticks"] == text.startswith(b"t")
+        assert host.counts["remote_frames"] == (text[:1] in b"rR")
+
+
 def test_a_frame_is_stamped_by_the_read_of_its_first_byte() -> None:
     """Dirt that came before it, or the rest that came after, doesn't move the stamp."""
     host = protocol()

@@ -93,6 +93,31 @@ def test_counters_come_out_of_a_candump_log_at_its_times(decode: Decode, recordi
     assert ticks[-1]["left"] - ticks[0]["left"] == 269
 
 
+def test_every_form_of_a_candump_log_is_read(decode: Decode, tmp_path: Path) -> None:
+    """`candump -l` and `-L`, with and without direction; CAN FD lines are skipped and counted, dirt as well."""
+    lines = [
+        "(1627276800.100000) can0 181#01000200",
+        "(1627276800.110000) can0 181#02000300 R",
+        "(1627276800.120000) vcan0 181#03000400 T",
+        "(1627276800.130000000) can0 181#04000500",
+        "(1627276800.135000) can0 181##1AABBCCDD",
+        "(1627276800.136000) can0 20000040#0000000000000000",
+        "(1627276800.137000) can0 181#R4",
+        "(1627276800.138000) can0 181#0102",
+        "(1627276800.139000) can0 181#010",
+        "garbage",
+        "(1627276800.140000) can0 00000181#FFFFFFFF",
+        "(1627276800.150000)  can0  181#05000600",
+    ]
+    for end in ("\n", "\r\n"):
+        (tmp_path / "log").write_text(end.join(lines), newline="")
+        ticks, counts = decode("encoders", tmp_path / "log", *TRACKS)
+        assert [(line["left"], line["right"]) for line in ticks] == [(i, i + 1) for i in range(1, 6)]
+        assert ticks[3]["stamp_ns"] == 1_627_276_800_130_000_000
+        told = ("fd_frames", "error_frames", "remote_frames", "bad_length", "bad_lines", "other_frames")
+        assert [count_of(name, counts) for name in told] == [1, 1, 1, 1, 2, 1]
+
+
 def test_slcan_bytes_are_recognised_and_unwrapped(decode: Decode, tmp_path: Path) -> None:
     """Counters of 16 bits go on beyond 65535; a file of slcan text has no times."""
     bytes_ = b"".join(serialise_slcan(tracks_frame(65530 + 4 * i, 2 * i)) for i in range(10))
