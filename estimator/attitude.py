@@ -136,19 +136,9 @@ class AttitudeChain:
             self._journal.counts["tilt_too_early"] += 1
             return True
         i = self.tube.newest
-        by_tilt = not all(map(isnan, sample.tilt_rad))
-
-        def contracted(box: NDArray[np.float64], wider: float) -> int:
-            return contract_tilt(
-                box, self.level, *sample.tilt_rad, self._tilt_bound + wider, *sample.accel_mps2[:2],
-                self._accel_bound + (0.0 if by_tilt else wider), newest.effort, earlier.effort,
-            )  # fmt: skip
-
-        outcome = contracted(self.tube.box[i], 0.0)
+        outcome = self._contract(self.tube.box[i], sample, earlier, newest, 0.0, 0.0)
         if outcome == CONTRADICTS:
-            excess = least_excess(lambda wider: contracted(self.tube.box[i].copy(), wider) != CONTRADICTS, 1e-3)
-            sensor, unit = ("tilt", "rad") if by_tilt else ("accelerometer", "m/s^2")
-            self._journal.report(sensor, sample.stamp.mid_ns, excess, unit)
+            self._report_tilt(sample, earlier, newest)
         if outcome != DONE:
             return True
         if not self.level:
@@ -156,6 +146,32 @@ class AttitudeChain:
             if not self.zeroed:
                 self._look_back(i)
         return True
+
+    def _contract(
+        self,
+        box: NDArray[np.float64],
+        sample: InertialSample,
+        earlier: Packet,
+        newest: Packet,
+        tilt_wider: float,
+        accel_wider: float,
+    ) -> int:
+        """Roll and pitch of box [c, 2], by a reading whose bounds are as much wider; what contract_tilt says."""
+        return contract_tilt(
+            box, self.level, *sample.tilt_rad, self._tilt_bound + tilt_wider, *sample.accel_mps2[:2],
+            self._accel_bound + accel_wider, newest.effort, earlier.effort,
+        )  # fmt: skip
+
+    def _report_tilt(self, sample: InertialSample, earlier: Packet, newest: Packet) -> None:
+        """By how much the reading is off."""
+        by_tilt, box = not all(map(isnan, sample.tilt_rad)), self.tube.box[self.tube.newest]
+
+        def agrees(wider: float) -> bool:
+            bounds = (wider, 0.0) if by_tilt else (0.0, wider)
+            return self._contract(box.copy(), sample, earlier, newest, *bounds) != CONTRADICTS
+
+        sensor, unit = ("tilt", "rad") if by_tilt else ("accelerometer", "m/s^2")
+        self._journal.report(sensor, sample.stamp.mid_ns, least_excess(agrees, 1e-3), unit)
 
     def _look_back(self, newest: int) -> None:
         """The tilt is known for the first time: what it, and a yaw of zero here, say of the nodes before."""
