@@ -64,7 +64,7 @@ def live_laser() -> Receive:
 
     Its clock stands still, but for silences: or it would, rightly, set up anew a scanner that sends dirt alone.
     """
-    protocol, started_ns = streaming_laser(FACTORY_RECORD[:5] + b"\x06" + FACTORY_RECORD[6:])
+    protocol, started_ns = streaming_laser(lambda emulator: emulator.leave_streaming(500000))
 
     def receive(data: bytes) -> list[Hashable]:
         if not data:
@@ -76,25 +76,31 @@ def live_laser() -> Receive:
     return receive
 
 
-def streaming_laser(record: bytes) -> tuple[SickLmsProtocol, int]:
-    """A driver just as the first scan has come, and when that was."""
+SERVING_RECORD = FACTORY_RECORD[:5] + b"\x06" + FACTORY_RECORD[6:]
+"""A scanner's EEPROM after our driver has been there."""
+
+
+def streaming_laser(
+    prepare: Callable[[SickLmsEmulator], None], record: bytes = SERVING_RECORD
+) -> tuple[SickLmsProtocol, int]:
+    """A driver just as the first scan has come, and when that was; it began at time 0 with a scanner as prepared."""
 
     def no_echo(shots_ns: NDArray[np.int64], angles_rad: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.full(len(angles_rad), np.nan)
 
-    now_ns = 10**15
+    now_ns = 0
+    rng = np.random.default_rng(4)
     emulator = SickLmsEmulator(no_echo, start_ns=now_ns, record=record)
-    emulator.leave_streaming(500000)
+    prepare(emulator)
     protocol = SickLmsProtocol(LASER)
     protocol.connection_made(now_ns)
     while not protocol.counts["scans"]:
         now_ns += 2 * MS
         data = emulator.data_to_send(now_ns)
-        if emulator.baud == protocol.baud:
-            protocol.receive_data(data, now_ns)
+        protocol.receive_data(data if emulator.baud == protocol.baud else rng.bytes(len(data)), now_ns)
         protocol.advance(now_ns)
-        if (request := protocol.data_to_send()) and emulator.baud == protocol.baud:
-            emulator.receive_data(request, now_ns)
+        if request := protocol.data_to_send():
+            emulator.receive_data(request if emulator.baud == protocol.baud else rng.bytes(len(request)), now_ns)
     return protocol, now_ns
 
 

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.checksums import lms_crc
-from drivers.sick_lms.plausibility import UNASKED, header_fits, payload_fits, status_fits
+from drivers.sick_lms.plausibility import HEADER_PATTERN, UNASKED, header_fits, payload_fits, status_fits
 from drivers.sick_lms.telegrams import (
     ACK,
     FROM_SCANNER,
@@ -43,7 +43,6 @@ SILENCE_WITHIN_FRAME_MS = 50
 """A frame whose next byte has not come after this won't go on. The scanner pauses for 14 ms at most (section 3); the
 rest is for adapters and for the host."""
 
-_START = bytes((STX, FROM_SCANNER))
 _LONGEST_GROUP = 4 * (LONGEST_PAYLOAD + OVERHEAD)
 """Overlapping frames are not held back any further; only a forger can make so many."""
 
@@ -144,7 +143,9 @@ class FrameReader:
         at = self._searched - origin
         if after_last <= at:
             return
-        while (at := buffer.find(_START, at, after_last + 1)) >= 0:
+        # The pattern has all but the last two bytes of a header.
+        while (found := HEADER_PATTERN.search(buffer, at, after_last + HEADER - 3)) is not None:
+            at = found.start()
             length = buffer[at + 2] | buffer[at + 3] << 8
             word = buffer[at + 5] | buffer[at + 6] << 8
             if self._header_fits(buffer[at + 4], length, word):
@@ -176,12 +177,12 @@ class FrameReader:
 
     def _is_frame(self, data: NDArray[np.uint8], start: int, end: int) -> bool:
         buffer, first, behind = self._buffer, start - self._origin, end - self._origin
-        if lms_crc(data, first, behind - 2) != buffer[behind - 2] | buffer[behind - 1] << 8:
-            self._counts["bad_crc"] += 1
-            return False
-        status = buffer[behind - 3]
+        status = buffer[behind - 3]  # looked at first, because it costs least
         if not status_fits(status) or self.source not in (None, status & SOURCE):
             self._counts["bad_status"] += 1
+            return False
+        if lms_crc(data, first, behind - 2) != buffer[behind - 2] | buffer[behind - 1] << 8:
+            self._counts["bad_crc"] += 1
             return False
         if not payload_fits(bytes(buffer[first + 4 : behind - 2])):
             self._counts["bad_layout"] += 1

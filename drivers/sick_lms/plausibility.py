@@ -3,6 +3,8 @@
 A header is judged as soon as its seven bytes are there, the whole payload once its last byte is.
 """
 
+import re
+
 from drivers.sick_lms.range_telegrams import (
     AT_ONCE,
     AVERAGED,
@@ -50,6 +52,10 @@ _UNASKED_LENGTHS = {
 
 UNASKED = (RANGE_COMMANDS - {RANGES}) | frozenset(_UNASKED_LENGTHS)
 """Answers to requests that this driver never makes; recordings may hold them."""
+
+_COMMANDS = b"".join(b"\\x%02x" % command for command in sorted(RANGE_COMMANDS.union(_LENGTHS, UNASKED)))
+HEADER_PATTERN = re.compile(b"\\x02\\x80[\\x00-\\xff][\\x00-\\x06][" + _COMMANDS + b"]")
+"""Where a header can begin: STX, address, a LEN that is not too long, and a command that there is."""
 
 _RESULTS = {Command.MODE.answer: 2, Command.VARIANT.answer: 1, Command.WRITE_CONFIGURATION.answer: 1}
 """Largest result byte of an answer."""

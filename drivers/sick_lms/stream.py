@@ -115,8 +115,9 @@ class LmsStreamDecoder:
                 self._mode = Configuration.parse(payload).measuring_mode
             case Command.STATUS.answer:
                 status = DeviceStatus.parse(payload)
-                self._mode = status.measuring_mode
-                self._variant = Variant(status.angle_deg, status.resolution_cdeg)
+                variant = Variant(status.angle_deg, status.resolution_cdeg)
+                if _known_sweep(variant) is not None:  # or its layout is one that we do not know
+                    self._mode, self._variant = status.measuring_mode, variant
             case Command.VARIANT.answer:
                 self._variant = Variant.parse(payload)
             case Command.TYPE.answer:

@@ -233,6 +233,17 @@ def test_sub_ranges_are_placed_by_what_the_scanner_said(teaching: bytes, first_d
     assert np.degrees(scan.angle_min_rad) == pytest.approx(first_deg)
 
 
+def test_a_status_of_unknown_layout_teaches_nothing() -> None:
+    """Where angle and resolution of B1h make no sense, its measuring mode is not believed either."""
+    decoder = LmsStreamDecoder()
+    status = bytearray(DeviceStatus("V02.30", "00410123", 0x24, 0x3F, 180, 100, 500000, MM).serialise())
+    status[107:109] = b"\x00\x10"
+
+    scans = decoder.receive_data(answer(bytes(status)) + ranges_telegram([])) + decoder.finish()
+
+    assert len(scans) == 1
+
+
 def test_a_sub_range_waits_to_be_placed() -> None:
     """What the scanner says of itself behind its first sub-ranges places these too, and their order is kept."""
     decoder = LmsStreamDecoder(measuring_mode=0x06)
