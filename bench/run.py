@@ -11,7 +11,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
-from bench import can_gps_cost, laser, line_faults
+from bench import can_gps_cost, imu_cost, laser, line_faults
 from bench.line import LineResult, measure_line
 from bench.machine import heading
 
@@ -93,6 +93,7 @@ SECTIONS: dict[str, tuple[str, Callable[[], str]]] = {
     "kernel": ("The mapping kernel", _kernel_section),
     "faults": ("Bad lines", line_faults.section),
     "can_gps": ("The encoders' and the receiver's parsers", can_gps_cost.section),
+    "imu": ("The inertial packets' parser", imu_cost.section),
     "laser": ("The laser's parser", laser.section),
     "proof": ("Soundness", lambda: PROOF_TEXT),
     "poses": ("Pose sets", lambda: POSE_SETS_TEXT),

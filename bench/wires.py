@@ -11,7 +11,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from bench import encoder_wire, gps_wire
+from bench import encoder_wire, gps_wire, imu_wire
 from drivers.config import LaserConfig
 from drivers.samples import Scan
 from drivers.sick_lms.measurements import MM
@@ -130,5 +130,6 @@ WIRES = (
     Wire("laser", LINES["lms"], scans, live_laser),
     Wire("laser, recorded", LINES["lms"], scans, recorded_laser),
     Wire("encoders, slcan", LINES["encoders"], encoder_wire.lines, encoder_wire.driver, encoder_wire.unseen),
+    Wire("inertial packets", LINES["imu"], imu_wire.packets, imu_wire.driver, imu_wire.unseen),
     Wire("gps", LINES["gps"], gps_wire.sentences, gps_wire.driver, gps_wire.unseen, once=True),
 )

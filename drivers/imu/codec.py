@@ -102,10 +102,13 @@ class MavlinkStream:
         """Counts go into `counts`."""
         self._counts = counts
         self._buffer = StampedBuffer()
+        self._signature_ends = 0
+        """Where the signature of the last frame ends, if it is all there; place in the buffer."""
 
     def clear(self) -> None:
         """Forget what has not become a frame."""
-        self._counts["skipped_bytes"] += self._buffer.clear()
+        self._skip(0, self._buffer.clear())
+        self._signature_ends = 0
 
     def receive(self, data: bytes, stamp_ns: int) -> list[tuple[MavlinkFrame, int]]:
         """Take what one read gave; each frame with the time of the read that held its first byte."""
@@ -122,7 +125,7 @@ class MavlinkStream:
         position = 0
         while (magic := _MAGIC.search(buffer, position)) is not None:
             start = magic.start()
-            self._counts["skipped_bytes"] += start - position
+            self._skip(position, start)
             position = start
             size = _frame_bytes(buffer, start)
             if size is None or start + size > len(buffer):
@@ -132,21 +135,32 @@ class MavlinkStream:
             frame = _checked(buffer[start : start + size]) if size else None
             if frame is None:
                 self._counts["bad_crc"] += size > 0
-                self._counts["skipped_bytes"] += 1
+                self._skip(position, start + 1)
                 position = start + 1
                 continue
             self._counts["frames"] += 1
             position = start + size
+            # No checksum covers a signature: where its end is missing, the next frame stands in its place.
+            self._signature_ends = position + _SIGNATURE_BYTES * _is_signed(buffer, start)
             frames.append((frame, self._buffer.time_of(start)))
         else:
-            self._counts["skipped_bytes"] += len(buffer) - position
+            self._skip(position, len(buffer))
             position = len(buffer)
         self._buffer.discard(position)
+        self._signature_ends = max(0, self._signature_ends - position)
         return frames
+
+    def _skip(self, begin: int, end: int) -> None:
+        """These bytes of the buffer belong to no frame, unless to a signature."""
+        self._counts["skipped_bytes"] += max(0, end - max(begin, self._signature_ends))
+
+
+def _is_signed(buffer: bytes, start: int) -> bool:
+    return buffer[start] == _MAGIC_V2 and bool(buffer[start + 2] & _SIGNED)
 
 
 def _frame_bytes(buffer: bytes, start: int) -> int | None:
-    """Length of the frame whose magic byte is at `start`; None: too early to tell; 0: no header that we know."""
+    """Length, without signature, of the frame that begins at `start`; None: too early to tell; 0: no header we know."""
     rest = len(buffer) - start
     if rest < 2:
         return None
@@ -166,7 +180,7 @@ def _frame_bytes(buffer: bytes, start: int) -> int | None:
         return None
     if int.from_bytes(buffer[start + 7 : start + 10], "little") not in _DEFINITION:
         return 0
-    return 12 + length + (_SIGNATURE_BYTES if flags & _SIGNED else 0)
+    return 12 + length
 
 
 def _checked(data: bytes) -> MavlinkFrame | None:
