@@ -64,6 +64,21 @@ class BoundedPose:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class PlanarEllipsoid:
+    """At the newest encoder reading, some time in [earliest_ns, latest_ns], the true v = (x, y, yaw) satisfies
+
+    (v - centre)ᵀ shape⁻¹ (v - centre) <= 1.
+    """
+
+    earliest_ns: int
+    latest_ns: int
+    centre: NDArray[np.float64]
+    """[3] metres, metres, radians (unwrapped)."""
+    shape: NDArray[np.float64]
+    """[3, 3]"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Anchor:
     """Where the map frame stands on Earth, as a set.
 

@@ -9,6 +9,7 @@ Earth; after the attitude was lost) there is no ellipsoid, and the boxes go on, 
 from them. So the set stays finite whatever happens: it never grows by more than the way that the robot can have come.
 """
 
+from copy import deepcopy
 from math import inf
 
 import numpy as np
@@ -18,8 +19,9 @@ from drivers.compiled import compiled
 from drivers.config import EncodersConfig
 from drivers.samples import WheelTicks
 from estimator.attitude import EARTH_YAW, MAP_YAW, AttitudeChain
+from estimator.bounded_pose import PlanarEllipsoid
 from estimator.config import FilterConfig, RobotConfig
-from estimator.ellipsoid import EMPTY, Ellipsoid, box, extent, half_width, meet_axis
+from estimator.ellipsoid import EMPTY, Ellipsoid, box, extent, half_width, image, meet_axis
 from estimator.ellipsoidal_motion import BIAS, UNITS, YAW, HeadingStep, X, Y, memory, travel_ellipsoid
 from estimator.gps_window import GpsWindow
 from estimator.inconsistency import Journal
@@ -127,6 +129,22 @@ class EllipsoidalPosition(PositionChain):
         here = self.tube.box[self.tube.newest]
         here[:, 0], here[:, 1] = np.maximum(here[:, 0], narrowed[:, 0]), np.minimum(here[:, 1], narrowed[:, 1])
         return True
+
+    def ellipsoid(self, on_earth: bool) -> PlanarEllipsoid | None:
+        """At the newest reading: what is still to come after it, and the yaw's change since, are undone."""
+        one, turns, here = self.sets[int(on_earth)], self._attitude.tube, self.tube.newest
+        if one.set is None:
+            return None
+        earliest_ns, latest_ns = (int(time) for time in self.tube.times[here])
+        around, node = turns.before(earliest_ns), self._gyro_node()
+        if around < turns.begin:
+            return None
+        turned = self._attitude.yaw_between(around, max(around, node), node)
+        back = mid(turned)
+        e = deepcopy(one.set)
+        rest = np.array([*one.kept[8:], reach(turned, back), 0.0])
+        image(e, np.eye(4), np.array([0.0, 0.0, back, 0.0]), np.zeros((4, 0)), rest)
+        return PlanarEllipsoid(earliest_ns, latest_ns, e.centre[:3].copy(), e.shape[:3, :3].copy())
 
     def join(self, other: PositionChain) -> None:
         """Grow to the hull of both chains; the ellipsoids begin anew from the boxes."""

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from drivers.config import EncodersConfig, GpsConfig, ImuConfig
 from drivers.samples import Fix, InertialSample, WheelTicks
-from estimator.bounded_pose import INTACT, Anchor, BoundedPose, Guarantee, Status
+from estimator.bounded_pose import INTACT, Anchor, BoundedPose, Guarantee, PlanarEllipsoid, Status
 from estimator.config import FilterConfig, RobotConfig
 from estimator.inconsistency import SENSORS, SUSPECTS, Contradiction
 from estimator.pose_set import PoseSet
@@ -221,6 +221,10 @@ class Filter:
         """The newest pose there is, at the horizon."""
         now = self.horizon_ns
         return None if now is None or now < (self.oldest_ns or 0) else self.pose_over(now, now)
+
+    def ellipsoid(self, on_earth: bool = False) -> PlanarEllipsoid | None:
+        """(x, y, yaw) at the newest encoder reading, with `[filter] set = "ellipsoid"`; None while a fault lasts."""
+        return None if len(self._hypotheses) > 1 else self._hypotheses[0].ellipsoid(on_earth)
 
     @property
     def anchor(self) -> Anchor | None:

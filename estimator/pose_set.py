@@ -25,7 +25,7 @@ from drivers.config import EncodersConfig, GpsConfig, ImuConfig
 from drivers.samples import ABSENT3, Fix, InertialSample, WheelTicks
 from estimator.anchoring import Anchoring
 from estimator.attitude import EARTH_YAW, MAP_YAW, AttitudeChain
-from estimator.bounded_pose import Anchor
+from estimator.bounded_pose import Anchor, PlanarEllipsoid
 from estimator.config import FilterConfig, RobotConfig, SetName
 from estimator.ellipsoidal_position import EllipsoidalPosition
 from estimator.inconsistency import Journal
@@ -187,6 +187,10 @@ class PoseSet:
             p.times, p.box, p.swing, p.begin, p.end, t.times, t.box, t.swing, t.begin, t.end,
             earliest_ns, latest_ns, low, high, place, yaw,
         )  # fmt: skip
+
+    def ellipsoid(self, on_earth: bool) -> PlanarEllipsoid | None:
+        """(x, y, yaw) at the newest encoder reading as an ellipsoid, where there is one."""
+        return self._position.ellipsoid(on_earth)
 
     @property
     def anchor(self) -> Anchor | None:

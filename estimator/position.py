@@ -11,6 +11,7 @@ from drivers.compiled import compiled
 from drivers.config import EncodersConfig
 from drivers.samples import WheelTicks
 from estimator.attitude import MAP_YAW, UNKNOWN_TILT, UNKNOWN_YAW, AttitudeChain
+from estimator.bounded_pose import PlanarEllipsoid
 from estimator.config import FilterConfig, RobotConfig
 from estimator.gps_window import GpsWindow
 from estimator.inconsistency import Journal
@@ -193,6 +194,10 @@ class PositionChain:
         """Keep the fix last given to the window, if the way since the one before is long enough."""
         around = self._attitude.tube.before(int(self.tube.times[self.tube.newest, 0]))
         self.window.remember(self._attitude.bias[2], self.turned_around(around), self.quantum)
+
+    def ellipsoid(self, on_earth: bool) -> PlanarEllipsoid | None:
+        """Boxes know of none."""
+        return None
 
     def turned_around(self, before: int) -> float:
         """How far the turning centre may have moved (m) between gyro node `before` and the end of the newest step."""

@@ -398,6 +398,29 @@ EDGES: dict[str, dict[str, object]] = {
 }
 
 
+@pytest.mark.parametrize("mode", ["corner", "constant"])
+def test_the_ellipsoid_itself_holds_the_true_x_y_and_yaw(mode: str) -> None:
+    """At the newest encoder reading, all along a drive; its box is about the pose's. Boxes know of none."""
+    world = World(5, mode=mode, script="wander", seconds=8.0)
+    pose, seen = Filter(ROBOT, ELLIPSOID, ENCODERS, IMU, GPS), 0
+    for count, sample in enumerate(world.samples):
+        pose.accept(sample)
+        e = pose.ellipsoid()
+        if count % 40 or e is None:
+            continue
+        during = (world.time_ns >= e.earliest_ns - 500_000) & (world.time_ns <= e.latest_ns + 500_000)
+        away = world.pose[during][:, [0, 1, 5]] - e.centre
+        least = np.min(np.einsum("ni,ij,nj->n", away, np.linalg.inv(e.shape), away))
+        assert least <= 1.0 + 1e-6
+        seen += 1
+    assert seen > 50
+    box, e = pose.latest(), pose.ellipsoid()
+    assert box is not None
+    assert e is not None
+    np.testing.assert_allclose(0.5 * (box.high - box.low)[[0, 1, 5]], np.sqrt(np.diag(e.shape)), rtol=0.25)
+    assert follow(world).filter.ellipsoid() is None
+
+
 @both
 @pytest.mark.parametrize("edge", EDGES)
 def test_the_true_pose_is_inside_at_the_edges_too(edge: str, config: FilterConfig) -> None:
