@@ -25,6 +25,7 @@ from mapper.tile import Tile
 
 _MAP_NORESERVE = 0x4000
 """Linux's; Python names it from 3.13 on."""
+_FLOAT64, _INT32 = np.dtype(np.float64), np.dtype(np.int32)
 _TILES_AT_A_TIME = 64
 """So many tiles (2 MiB) are made ready together ..."""
 _TILES_SPARE = 16
@@ -97,10 +98,10 @@ class ElevationMap:
         self._turn_to(scan)
         self._insert(
             self._plane(scan.stamp.earliest_ns),
-            _plain(scan.ranges_m, np.float64),
-            _plain(pose_index, np.int32),
-            _plain(low, np.float64),
-            _plain(high, np.float64),
+            _plain(scan.ranges_m, _FLOAT64),
+            _plain(pose_index, _INT32),
+            _plain(low, _FLOAT64),
+            _plain(high, _FLOAT64),
         )
         numbers = self._numbers.tolist()
         if numbers[kernel.N_READY] - numbers[kernel.N_TILES] < _TILES_SPARE:
@@ -271,8 +272,8 @@ def _untouched_pool(tiles: int, planes: int) -> kernel.Cells:
     return np.frombuffer(memory, np.float32, prod(shape)).reshape(shape)
 
 
-def _plain(array: NDArray[Any], dtype: type) -> NDArray[Any]:
+def _plain(array: NDArray[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
     """The array as the compiled code knows it: another layout, type or a read-only one would compile again, live."""
-    if array.dtype == dtype and array.flags.carray:
+    if array.dtype is dtype and array.flags.carray:
         return array
     return np.array(array, dtype=dtype, order="C")

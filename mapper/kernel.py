@@ -74,6 +74,8 @@ S_J0 = 3 * LANES
 S_J1 = 4 * LANES
 S_SIZE = 5 * LANES
 _INDEX_LIMIT = float(CELL_LIMIT)
+_IN_TILE = TILE_SIDE - 1
+"""The bits of a cell's number that say where in its tile it is."""
 
 # Rounding to float32 errs by at most 2^-24 of the value, so twice that, added first, makes it round up. The constant
 # does it near zero (and is no subnormal, which some processors flush to zero).
@@ -205,27 +207,34 @@ def touch_block(
         if fate == USED:
             i0, i1 = int(spans[S_I0 + lane]), int(spans[S_I1 + lane])
             j0, j1 = int(spans[S_J0 + lane]), int(spans[S_J1 + lane])
-            for ty in range(j0 >> TILE_SHIFT, (j1 >> TILE_SHIFT) + 1):
-                for tx in range(i0 >> TILE_SHIFT, (i1 >> TILE_SHIFT) + 1):
-                    key = tile_key(tx, ty)
+            single = hits and i0 == i1 and j0 == j1  # the hit is in this cell: the footprint reaches no other
+            j = j0
+            while j <= j1:
+                j_last, i = min(j1, j | _IN_TILE), i0
+                while i <= i1:
+                    i_last = min(i1, i | _IN_TILE)
+                    key = tile_key(i >> TILE_SHIFT, j >> TILE_SHIFT)
                     if last_tile < 0 or key != last_key:
                         tile = tile_at(key, numbers, table, keys)
                         if tile == POOL_FULL:
                             return lane
                         if tile == LEFT_OUT:
-                            fate = BEYOND_CAP
+                            fate, i = BEYOND_CAP, i_last + 1
                             continue
                         last_key, last_tile = key, tile
-                    row0, row1 = max(j0 - (ty << TILE_SHIFT), 0), min(j1 - (ty << TILE_SHIFT), TILE_SIDE - 1)
-                    col0, col1 = max(i0 - (tx << TILE_SHIFT), 0), min(i1 - (tx << TILE_SHIFT), TILE_SIDE - 1)
+                    row, col = j & _IN_TILE, i & _IN_TILE
                     tile_address = plane_address + np.uint64(last_tile * stride)
-                    changed = hull_cells(tile_address, row0, row1, col0, col1, heights[lane], heights[LANES + lane])
-                    if hits and i0 == i1 and j0 == j1:  # the hit is in this cell: the footprint reaches no other
-                        bit = np.uint64(1) << np.uint64(col0)
-                        changed |= sure[last_tile, row0] & bit == np.uint64(0)
-                        sure[last_tile, row0] |= bit
+                    changed = hull_cells(
+                        tile_address, row, row + j_last - j, col, col + i_last - i, heights[lane], heights[LANES + lane]
+                    )
+                    if single:
+                        bit = np.uint64(1) << np.uint64(col)
+                        changed |= sure[last_tile, row] & bit == np.uint64(0)
+                        sure[last_tile, row] |= bit
                     if changed:
                         dirty[last_tile] = True
+                    i = i_last + 1
+                j = j_last + 1
         numbers[fate] += 1
     return count
 

@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 from drivers.compiled import compiled
 from drivers.config import LaserConfig
 from drivers.samples import Scan
+from mapper.fused import fused
 
 Floats = NDArray[np.float64]
 
@@ -253,9 +254,9 @@ def box_block(
         r, c, s = ranges[j], cosines[j], sines[j]
         r = r if (least <= r) & (r <= most) else 0.0
         out[B_R + j], out[B_RC + j], out[B_RS + j] = r, r * c, r * s
-        out[B_UX + j] = abs(x_c * c + x_s * s)
-        out[B_UY + j] = abs(y_c * c + y_s * s)
-        out[B_UZ + j] = abs(z_c * c + z_s * s)
+        out[B_UX + j] = abs(fused(x_c, c, x_s * s))
+        out[B_UY + j] = abs(fused(y_c, c, y_s * s))
+        out[B_UZ + j] = abs(fused(z_c, c, z_s * s))
     for i in range(3):
         centre, half = B_CENTRE + i * LANES, B_HALF + i * LANES
         origin, per_metre, constant = pose[P_CENTRE + i], pose[P_PER_METRE + i], pose[P_CONSTANT + i]
@@ -285,29 +286,34 @@ def box_block(
         )
         for j in range(count):
             r, rc, rs = out[B_R + j], out[B_RC + j], out[B_RS + j]
-            out[centre + j] = origin + (rc * u_c + rs * u_s)
-            h = constant + r * per_metre
-            h += abs(l1 + (rc * c1 + rs * s1))
-            h += abs(l2 + (rc * c2 + rs * s2))
-            h += abs(l3 + (rc * c3 + rs * s3))
-            h += abs(rc * c4 + rs * s4)
-            h += abs(rc * c5 + rs * s5)
-            h += abs(rc * c6 + rs * s6)
-            h += abs(rc * c7 + rs * s7)
-            h += (r * turn_x + stretch_x) * out[B_UX + j]
-            h += (r * turn_y + stretch_y) * out[B_UY + j]
-            h += (r * turn_z + stretch_z) * out[B_UZ + j]
+            out[centre + j] = fused(rc, u_c, fused(rs, u_s, origin))
+            h = fused(r, per_metre, constant)
+            h += abs(fused(rc, c1, fused(rs, s1, l1)))
+            h += abs(fused(rc, c2, fused(rs, s2, l2)))
+            h += abs(fused(rc, c3, fused(rs, s3, l3)))
+            h += abs(fused(rc, c4, rs * s4))
+            h += abs(fused(rc, c5, rs * s5))
+            h += abs(fused(rc, c6, rs * s6))
+            h += abs(fused(rc, c7, rs * s7))
+            h = fused(fused(r, turn_x, stretch_x), out[B_UX + j], h)
+            h = fused(fused(r, turn_y, stretch_y), out[B_UY + j], h)
+            h = fused(fused(r, turn_z, stretch_z), out[B_UZ + j], h)
             out[half + j] = h * GROW
 
 
 @compiled
 def run_length(first: int, pose_index: NDArray[np.int32]) -> int:
     """How many beams from `first` on, at most LANES, were shot from the same pose."""
-    end = min(first + LANES, pose_index.size)
-    n = first + 1
-    while n < end and pose_index[n] == pose_index[first]:
-        n += 1
-    return n - first
+    run = pose_index[first : min(first + LANES, pose_index.size)]
+    others = np.int32(0)
+    for n in range(run.size):
+        others |= run[n] ^ run[0]
+    if others == 0:
+        return run.size
+    length = 1
+    while run[length] == run[0]:
+        length += 1
+    return length
 
 
 @compiled
