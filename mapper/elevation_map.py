@@ -21,7 +21,7 @@ from mapper.config import MapConfig
 from mapper.contact import insert_patches, track_patches
 from mapper.grid import TILE_SIDE, tile_indices, tile_key
 from mapper.projection import B_SIZE, G_SIZE, LANES, P_SIZE, Floats, beam_table, laser_geometry
-from mapper.tile import Tile
+from mapper.tile import Tile, unseen_tile
 
 _MAP_NORESERVE = 0x4000
 """Linux's; Python names it from 3.13 on."""
@@ -85,9 +85,7 @@ class ElevationMap:
         self._sure = np.zeros((most, TILE_SIDE), np.uint64)
         self._pool = _untouched_pool(most, 1 + config.evidence_slots if config.evidence_slots else 1)
         self._make_ready()
-        self._insert(0, np.empty(0), np.empty(0, np.int32), np.zeros((1, 6)), np.zeros((1, 6)))
-        self.insert_contact(0, np.full(6, np.nan), np.full(6, np.nan))
-        self._layers(0)
+        self._compile()
 
     def insert(self, scan: Scan, low: Floats, high: Floats, pose_index: NDArray[np.int32]) -> InsertResult:
         """Take a scan in whose beam i was shot from somewhere in the pose box [low, high][pose_index[i]].
@@ -202,6 +200,18 @@ class ElevationMap:
         """Mean width of those intervals; NaN while the map is empty. Reads the whole map."""
         seen, width = tile_layers.tally(self.tile_count, self._pool)
         return width / seen if seen else float("nan")
+
+    def _compile(self) -> None:
+        """Do everything once with nothing, so that the machine code is there: no scan and no tile waits for it."""
+        self._insert(0, np.empty(0), np.empty(0, np.int32), np.zeros((1, 6)), np.zeros((1, 6)))
+        self.insert_contact(0, np.full(6, np.nan), np.full(6, np.nan))
+        self._layers(0)
+        nothing, no_room = unseen_tile(self.submap, 0, 0, 1.0), np.zeros(kernel.N_SIZE, np.int64)
+        tile_layers.join_tile(
+            0, 0, *nothing.layers, no_room, self._table, self._keys, self._dirty, self._pool, self._sure
+        )
+        kernel.rebuild_table(0, self._table, self._keys)
+        tile_layers.tally(0, self._pool)
 
     def _plane(self, time_ns: int) -> int:
         """Where in the pool a scan of that time goes."""
