@@ -45,6 +45,7 @@ NAK_PAUSE_MS = 30
 LONGEST_ANSWER = 170
 """Bytes of the longest answer but a scan: the status telegram."""
 LEAST_WATCHDOG_MS = 500
+NEVER_NS = -(1 << 62)
 CLOCK_TOLERANCE = 0.03
 """A line's true rate differs from its nominal one by less than this, or nothing could be read."""
 
@@ -78,6 +79,7 @@ class SickLmsProtocol:
         self._reader = FrameReader(self.counts)
         self._found = Found(config.baud)
         self._expected: ExpectedScans | None = None  # since the stream was asked for
+        self._sent_latest_ns = NEVER_NS  # the last scan was sent no later
         self._asked_at = 0  # place in the stream of bytes where that was
         self._outbox = bytearray()
         self._trouble = ""
@@ -123,6 +125,10 @@ class SickLmsProtocol:
                 f"the scanner's measuring mode reaches {self._short_reach_m:.1f} m, short of range_max_m; "
                 "set write_configuration = true, or range_max_m to that"
             )
+        if self.counts.get("late_telegrams"):
+            found.append(
+                "telegrams are read later than latency_ms allows: raise it, or lower the adapter's latency timer"
+            )
         return tuple(found)
 
     @property
@@ -134,6 +140,7 @@ class SickLmsProtocol:
         """The port was opened: find the scanner anew, from the wanted rate on."""
         self._outbox.clear()
         self._released.clear()
+        self._sent_latest_ns = NEVER_NS
         self._set_baud(self._goal.baud)
         self._state = State.TUNING
         self._deadline_ns = now_ns
@@ -235,11 +242,19 @@ class SickLmsProtocol:
     def _sent(self, frame: Frame) -> Stamp:
         """When the scanner began to send a telegram.
 
-        A byte is read when its last bit has come; and bytes that came behind it with the same read had come, too.
+        A byte is read when its last bit has come; and bytes that came behind it with the same read had come, too. They
+        may tell that the telegram's first byte was read later than declared; then the declared latency is taken as
+        that of the read's last byte. Telegrams are sent one after the other, so no stamp ends before an earlier one.
         """
         least, most = self._latency_ns
-        surely_ns = max(least, int(self._line_ns(frame.bytes_read) / (1 + CLOCK_TOLERANCE)))
-        return Stamp(frame.stamp_ns - max(most + self._line_ns(1), surely_ns), frame.stamp_ns - surely_ns)
+        on_line = self._line_ns(frame.bytes_read)
+        surely = max(least, int(on_line / (1 + CLOCK_TOLERANCE)))
+        at_most = most + self._line_ns(1)
+        if surely > at_most:
+            self.counts["late_telegrams"] += 1
+            at_most += int(on_line * (1 + CLOCK_TOLERANCE))
+        self._sent_latest_ns = max(self._sent_latest_ns, frame.stamp_ns - surely)
+        return Stamp(frame.stamp_ns - at_most, self._sent_latest_ns)
 
     def _judge(self, payload: bytes) -> Outcome:
         """What the awaited answer means."""

@@ -358,6 +358,30 @@ def test_a_declared_mirror_phase_narrows_the_stamps() -> None:
     assert np.median(widths) < 6 * MS  # a read that holds n bytes of a telegram ended n byte times after its beginning
 
 
+def test_stamps_never_run_backward_and_a_slow_adapter_is_told() -> None:
+    """An adapter that gathers more than was declared still gives true stamps, in order, and is counted."""
+    wire = Wire(replace(CONFIG, baud=38400, latency_ms=(0.0, 6.0)), record=SERVING_RECORD)
+    wire.start()
+    gathered = bytearray()
+
+    def gather(data: bytes) -> bytes:
+        gathered.extend(data)
+        if len(gathered) < 62:
+            return b""
+        block = bytes(gathered)
+        gathered.clear()
+        return block
+
+    wire.to_host = gather
+    wire.run(5.0)
+
+    wire.check_scans()
+    latest = [scan.stamp.latest_ns for scan in wire.scans]
+    assert latest == sorted(latest)
+    assert wire.protocol.counts["late_telegrams"] > 0
+    assert any("latency_ms" in finding for finding in wire.protocol.findings)
+
+
 @pytest.mark.parametrize("length", [30, 32, 34])
 def test_a_record_of_any_length_is_written_back_as_long_as_it_came(length: int) -> None:
     """Older firmware has shorter records: all bytes but unit and mode come back unchanged, and none is added."""
