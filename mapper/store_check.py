@@ -27,11 +27,10 @@ from mapper.store import (
     intact,
     row_crc,
 )
+from mapper.store_log import Frame, log_frames, lost_in_log
 from mapper.tile_codec import decode
 
 _LEAST_ROW_BYTES = 128
-_WAL_HEADER, _FRAME_HEADER = 32, 24
-"""Of SQLite's write-ahead log (its file format, section 4)."""
 
 
 @dataclass(slots=True)
@@ -100,11 +99,11 @@ def open_store(path: Path, propose: Callable[[int], None] = lambda number: None)
         raise StoreError(f"{path}: can't be used: {error.strerror or error}") from error
 
 
-def check(store: TileStore, frames: list[tuple[int, bytes]]) -> Findings:
+def check(store: TileStore, frames: list[Frame]) -> Findings:
     """Read every row; fill in what the store has. frames: the log's before the store was opened."""
     connection, findings = store.connection, Findings()
     try:
-        findings.log_damaged, findings.log_torn = _lost_in_log(connection, frames)
+        findings.log_damaged, findings.log_torn = lost_in_log(connection, frames)
         (verdict,) = connection.execute("PRAGMA quick_check(1)").fetchone()
         findings.structure = "" if verdict == b"ok" else bytes(verdict).decode("utf-8", "replace").splitlines()[-1]
     except sqlite3.DatabaseError as error:
@@ -235,43 +234,3 @@ def _set_aside(path: Path) -> Path:
             old.rename(new)
     fsync_folder(path.parent)
     return aside
-
-
-def log_frames(path: Path) -> list[tuple[int, bytes]]:
-    """(database size if it ends a transaction else 0, salts) of every frame in the write-ahead log, whole or not."""
-    log = path.with_name(f"{path.name}-wal")
-    frames = []
-    try:
-        with log.open("rb") as file:
-            header = file.read(_WAL_HEADER)
-            page = int.from_bytes(header[8:12], "big")
-            page = page if page in {1 << n for n in range(9, 17)} else 16384
-            at = _WAL_HEADER
-            while len(frame := _frame_header(file, at)) == _FRAME_HEADER:
-                frames.append((int.from_bytes(frame[4:8], "big"), frame[8:16]))
-                at += _FRAME_HEADER + page
-    except FileNotFoundError:
-        pass
-    return frames
-
-
-def _frame_header(file: Any, at: int) -> bytes:
-    file.seek(at)
-    header: bytes = file.read(_FRAME_HEADER)
-    return header
-
-
-def _lost_in_log(connection: sqlite3.Connection, frames: list[tuple[int, bytes]]) -> tuple[bool, bool]:
-    """(acknowledged transactions are lost, the last transaction is not whole), from the log as it was found.
-
-    SQLite takes frames up to the last transaction before the first that isn't whole. What follows with the same salts
-    was written after it: were it the one transaction that was being written, there would be one end of it at most.
-    """
-    if not frames:
-        return False, False
-    _, taken, _ = connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
-    taken = max(taken, 0)
-    ((salts, _),) = Counter(salt for _, salt in frames[:taken] or frames).most_common(1)
-    beyond = [end for end, salt in frames[taken:] if salt == salts]
-    ends = sum(1 for end in beyond if end)
-    return ends >= 2, ends == 1 or (ends == 0 and bool(beyond))

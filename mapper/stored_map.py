@@ -4,7 +4,8 @@ from pathlib import Path
 
 from mapper.saved_map import MapFileError, SavedMap, assemble
 from mapper.store import TileStore
-from mapper.store_check import Findings, check, log_frames
+from mapper.store_check import Findings, check
+from mapper.store_log import log_frames
 
 _SQLITE = b"SQLite format 3\0"
 
