@@ -21,6 +21,7 @@ import pymap3d
 from numpy.typing import NDArray
 
 from bench.baselines.ekf import ExtendedKalmanFilter
+from bench.baselines.pure_box import without_window
 from bench.machine import heading
 from bench.pose_scenario import FILTER, GPS_CLASSES, IMU, ROBOT, GpsClass, devices, reference_world
 from drivers.samples import Fix, InertialSample, WheelTicks
@@ -115,7 +116,7 @@ class SetFilter:
 class Ekf:
     """The extended Kalman filter and its three sigma; it starts at the truth, to within 10 degrees of yaw."""
 
-    def __init__(self, gps: GpsClass, world: World, config: FilterConfig) -> None:
+    def __init__(self, gps: GpsClass, world: World) -> None:
         encoders = devices(gps).encoders
         start = world.pose(world.start_ns)
         covariance = np.diag(
@@ -156,10 +157,16 @@ class Ekf:
         return False
 
 
+def _pure_box(gps: GpsClass, world: World) -> Contender:
+    with without_window():
+        return SetFilter(gps, world, FILTER)
+
+
 METHODS: dict[str, Callable[[GpsClass, World], Contender]] = {
     "default": lambda gps, world: SetFilter(gps, world, FILTER),
     "ellipsoid": lambda gps, world: SetFilter(gps, world, replace(FILTER, set="ellipsoid")),
-    "EKF 3 sigma": lambda gps, world: Ekf(gps, world, FILTER),
+    "pure box": _pure_box,
+    "EKF 3 sigma": Ekf,
 }
 
 

@@ -1,6 +1,7 @@
 """A standing robot shows the errors themselves: nothing moves, so whatever changes in a reading is error.
 
-Two readings of one constant, each off by at most e, differ by at most 2 e: half the largest difference is a proof.
+Two readings of one constant, each off by at most e, differ by at most 2 e: half the largest difference is a proof. A
+standing robot is taken not to accelerate: what an idling engine shakes is the accelerometers' error here.
 """
 
 import numpy as np

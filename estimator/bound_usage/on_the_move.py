@@ -11,6 +11,7 @@ from estimator.bound_usage.at_rest import (
     GRAVITY_MID,
     GRAVITY_REACH,
     GYRO_BIAS,
+    GYRO_DRIFT,
     GYRO_NOISE,
     GYRO_SCALE,
     TILT,
@@ -31,6 +32,7 @@ TILT_LAGS = (1, 10, 50)
 GAP = 1.5
 """An interval between packets longer than this times the usual one is a gap."""
 SIDE_BY_SIDE_NS = 20_000_000
+MILLISECOND_US = 1000.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,6 +58,11 @@ class Turning:
         scale = ledger.trusted(GYRO_SCALE)
         return np.asarray(fixed + scale * (np.abs(self.rate) + fixed) / max(1.0 - scale, 0.1))
 
+    def varied(self, ledger: Ledger) -> Array:
+        """[n, 3] integral of |rate| since the packet before, at most: a rate may change its sign (SMF equation 5)."""
+        turn_back = 0.25 * np.radians(ledger.trusted(TURN_ACCELERATION)) * self.seconds[:, None] ** 2
+        return np.asarray((np.abs(self.rate) + self.rate_error(ledger)) * self.seconds[:, None] + turn_back)
+
 
 def turning(gyro: Inertial, drift_ppm: float) -> Turning | None:
     """The gyroscope's intervals, by the board's clock if it has one; None without enough packets."""
@@ -63,7 +70,9 @@ def turning(gyro: Inertial, drift_ppm: float) -> Turning | None:
     if len(when) < 3:
         return None
     seconds = np.diff(when, prepend=when[0]) * 1e-9
-    device = np.diff(gyro.device_us, prepend=np.nan) * 1e-6 * (1.0 + drift_ppm * 1e-6)
+    coarse = bool(np.all(np.nan_to_num(gyro.device_us) % MILLISECOND_US == 0.0))
+    resolution_us = MILLISECOND_US if coarse else 1.0
+    device = (np.diff(gyro.device_us, prepend=np.nan) + resolution_us) * 1e-6 * (1.0 + drift_ppm * 1e-6)
     same = np.diff(gyro.epoch, prepend=gyro.epoch[0]) == 0
     seconds = np.where(same & np.isfinite(device) & (device > 0.0), device, np.maximum(seconds, 0.0))
     seconds[0] = 0.0
@@ -91,7 +100,7 @@ def weigh_turning(ledger: Ledger, turns: Turning) -> None:
         )  # fmt: skip
         # the mean over [t - T, t] and the one over [t, t + T'] are rates at two instants at most T + T' apart
         change = np.degrees(np.abs(np.diff(turns.rate[:, k])))
-        noise = 2.0 * ledger.trusted(GYRO_NOISE)
+        noise = 2.0 * ledger.trusted(GYRO_NOISE) + ledger.trusted(GYRO_DRIFT) * 2.0 * float(turns.seconds.max())
         scale = ledger.trusted(GYRO_SCALE) * (seen[1:, k] + seen[:-1, k]) * 1.1
         apart = turns.seconds[1:] + turns.seconds[:-1]
         usable = ~turns.gap[1:] & ~turns.gap[:-1] & (apart > 0.0) & (np.arange(1, len(turns.rate)) > 1)
@@ -168,11 +177,13 @@ def _slip_in_turns(
     at = np.interp(when, turns.when_ns, angle)
     err = np.interp(when, turns.when_ns, error)
     missing = np.interp(when, turns.when_ns, gaps)
+    packet_s = float(np.median(turns.seconds))
     # both ends of the window are known to within the stamps and a packet
     fastest = np.maximum(_fastest_near(turns, when[begin]), _fastest_near(turns, when[end]))
     stamps = (recording.ticks.latest_ns - recording.ticks.earliest_ns).astype(float) * 1e-9
-    loose_s = 0.5 * (stamps[begin] + stamps[end]) + turns.stamp_ns * 1e-9 + 2.0 * float(np.median(turns.seconds))
+    loose_s = 0.5 * (stamps[begin] + stamps[end]) + turns.stamp_ns * 1e-9 + 2.0 * packet_s
     off = (err[end] - err[begin]) + fastest * loose_s
+    off += 4.0 * np.radians(ledger.trusted(TURN_ACCELERATION)) * packet_s**2  # inside the packets at both ends
     difference = metres[:, 1] - metres[:, 0]
     path = np.cumsum(np.abs(np.diff(metres, axis=0, prepend=metres[:1])), axis=0).sum(axis=1)
     ran = path[end] - path[begin]
@@ -201,7 +212,7 @@ def weigh_tilt_against_gyro(ledger: Ledger, recording: Recording, turns: Turning
     if not turns.measured.all():
         return
     tilt = recording.tilt
-    total = np.cumsum((np.abs(turns.rate) + turns.rate_error(ledger)) * turns.seconds[:, None], axis=0)
+    total = np.cumsum(turns.varied(ledger), axis=0)
     gaps = np.cumsum(turns.gap)
     for lag in TILT_LAGS:
         first = np.arange(0, len(tilt.values) - lag, max(1, lag // 2))

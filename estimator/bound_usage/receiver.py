@@ -142,7 +142,7 @@ def _turned(ledger: Ledger, turns: Turning | None, begin_ns: Whole, end_ns: Whol
     most = 3.0 * np.radians(ledger.trusted(TURN_RATE)) * (end_ns - begin_ns) * 1e-9
     if turns is None or not turns.measured.all():
         return np.asarray(most)
-    effort = ((np.abs(turns.rate) + turns.rate_error(ledger)).sum(axis=1) * turns.seconds).cumsum()
+    effort = turns.varied(ledger).sum(axis=1).cumsum()
     gaps = np.cumsum(turns.gap)
     a = np.searchsorted(turns.when_ns, begin_ns - turns.stamp_ns) - 1
     b = np.searchsorted(turns.when_ns, end_ns + turns.stamp_ns) + 1

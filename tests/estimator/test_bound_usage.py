@@ -22,7 +22,7 @@ AT_THE_CORNERS = {
     "devices.imu.gyro_noise_bound_dps": 0.75,  # what a standing robot may still turn is taken off
     "devices.imu.tilt_bound_deg": 0.99,
     "devices.imu.accel_bound_mps2": 0.99,
-    GPS_HORIZONTAL: 0.9,
+    GPS_HORIZONTAL: 0.85,  # the antenna may have swung a little on its mast
     "devices.gps.rtk_fixed_vertical_m": 0.9,
 }
 """Bounds whose errors show where they change their sign, and the share that is proved at least."""
