@@ -49,6 +49,8 @@ class GpsProtocol:
         self._config = config
         self._least_ns, self._most_ns = latency_ns(config.latency_ms)
         self._buffer = StampedBuffer()
+        self._late_ns = 0
+        """How late a read was that holds a part of the present sentence."""
         self._days = DayTeller(not_before)
         self._forget()
 
@@ -60,7 +62,7 @@ class GpsProtocol:
         self._usual: tuple[Counter[str], Counter[str]] = (Counter(), Counter())
         """Sentences of the last two epochs: one that was lost must not shorten the next epoch."""
         self._read_ns: int | None = None
-        """Read of the newest sentence."""
+        """The newest sentence had not come before."""
         self._clean = False
         """Has everything since then been understood?"""
         self._openers: Counter[str] = Counter()
@@ -90,6 +92,10 @@ class GpsProtocol:
         """Nothing: the receiver needs no asking."""
         return b""
 
+    def read_late(self, late_ns: int) -> None:
+        """The next read's bytes may have lain in the port; see drivers/protocol.py."""
+        self._late_ns = max(self._late_ns, late_ns)
+
     def receive_data(self, data: bytes, stamp_ns: int) -> list[Fix]:
         """Take bytes; the fixes of all epochs that they complete."""
         self._buffer.append(data, stamp_ns)
@@ -105,6 +111,8 @@ class GpsProtocol:
             begin = len(text)
         self._skip(text[position:begin])
         self._buffer.discard(begin)
+        if begin == len(text):
+            self._late_ns = 0
         return fixes
 
     def finish(self) -> list[Fix]:
@@ -133,7 +141,7 @@ class GpsProtocol:
         else:
             fixes = self._turn_epoch(address, sentence, read_ns)
             fixes += self._attach(address, sentence)
-        self._read_ns, self._clean = read_ns, True
+        self._read_ns, self._clean = read_ns - self._late_ns, True
         return fixes
 
     def _turn_epoch(self, address: str, sentence: EpochSentence, read_ns: int) -> list[Fix]:

@@ -124,15 +124,20 @@ def test_a_fix_is_stamped_by_the_read_of_its_epochs_first_byte() -> None:
 
 
 @pytest.mark.parametrize("dirt", [b"", b"$GNGGA,120008.00,44"])
-def test_an_epoch_whose_beginning_may_be_lost_is_stamped_back_to_the_epoch_before(dirt: bytes) -> None:
-    """GGA went missing without a trace, or in dirt: the epoch began between the last sentence and this one."""
+@pytest.mark.parametrize("late_ms", [0, 120])
+def test_an_epoch_whose_beginning_may_be_lost_is_stamped_back_to_the_epoch_before(dirt: bytes, late_ms: int) -> None:
+    """GGA went missing without a trace, or in dirt: the epoch began between the last sentence and this one.
+
+    Where the last sentence was itself read late, from when it may have come.
+    """
     host = protocol()
     for i in range(8):
         host.receive_data(gga(f"12000{i}.00"), 1000 * i * MS)
+        host.read_late(late_ms * MS)
         host.receive_data(serialise(f"GNRMC,12000{i}.00,A,4404.1,N,12118.8,W,,,010124,,,A"), (1000 * i + 300) * MS)
     host.receive_data(dirt + serialise("GNRMC,120008.00,A,4404.1,N,12118.8,W,,,010124,,,A"), 8300 * MS)
     (fix,) = host.finish()
-    assert fix.stamp == Stamp(7250 * MS, 8260 * MS)
+    assert fix.stamp == Stamp((7250 - late_ms) * MS, 8260 * MS)
 
 
 @given(st.binary(max_size=200))
