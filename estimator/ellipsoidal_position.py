@@ -80,19 +80,24 @@ class EllipsoidalPosition(PositionChain):
         begun = super().begin(ticks)
         if begun:
             node = self._gyro_node()
+            assert node is not None, "the map begins among the nodes"
             self._begin_sets(node, self._attitude.bias_since(node))
         return begun
 
     def predict(self, ticks: WheelTicks) -> Step:
         """travel, with boxes and with ellipsoids: one node further, at the true time of this encoder reading."""
         start, first, undone = self._gyro_node(), self._fresh_count, self._pending.copy()
+        began_ns = int(self.tube.times[self.tube.newest, 0])
         step = super().predict(ticks)
         turns, attitude = self._attitude.tube, self._attitude
+        turned_known = start is not None and int(turns.times[step.before, 1]) <= began_ns
+        if start is None:
+            start = step.after
         before = min(step.before, start)
         after = step.after if turns.effort[step.after, 2] == self._turned_until else start
         seconds = up((int(turns.times[after, 1]) - int(turns.times[start, 0])) * 1e-9)
         aged, bias = up(attitude.gyro.bias_drift * seconds), attitude.bias_since(before)
-        turned_known = turns.heading[after, 2] - turns.heading[before, 2] < WIDEST_YAW
+        turned_known = turned_known and turns.heading[after, 2] - turns.heading[before, 2] < WIDEST_YAW
         way = tracked(step.left, step.right, step.counted, step.time_high, self.tracks)
         for one in self.sets:
             if one.set is None:
@@ -113,6 +118,11 @@ class EllipsoidalPosition(PositionChain):
     def contract(self, narrowed: NDArray[np.float64], yaws: NDArray[np.float64]) -> bool:
         """The newest place is in narrowed [6, 2], the newest yaws in [2, 2]; False, and all stays, if that can't be."""
         turns, after = self._attitude.tube, self._gyro_node()
+        if after is None:
+            for one in self.sets:
+                if one.set is not None:
+                    self._let_go(one, self._pending.copy())
+            return super().contract(narrowed, yaws)
         bias = self._attitude.bias_since(after)
         core = self._foreseen(narrowed)
         ahead = relative_yaw(turns.heading[turns.newest], turns.heading[after], bias)
@@ -137,7 +147,7 @@ class EllipsoidalPosition(PositionChain):
             return None
         earliest_ns, latest_ns = (int(time) for time in self.tube.times[here])
         around, node = turns.before(earliest_ns), self._gyro_node()
-        if around < turns.begin:
+        if around < turns.begin or node is None:
             return None
         turned = self._attitude.yaw_between(around, max(around, node), node)
         back = mid(turned)
@@ -152,11 +162,15 @@ class EllipsoidalPosition(PositionChain):
         for one in self.sets:
             one.set = None
 
-    def _gyro_node(self) -> int:
-        """Index of the node at which the ellipsoids' yaw stands: the first one after the newest reading."""
+    def _gyro_node(self) -> int | None:
+        """Index of the node at which the ellipsoids' yaw stands, the first one after the newest reading.
+
+        None if there was no reading for so long that the node is out of the history.
+        """
         turns = self._attitude.tube
         efforts = turns.effort[turns.begin : turns.end, 2]  # each larger than the one before
-        return min(turns.begin + int(np.searchsorted(efforts, self._turned_until)), turns.newest)
+        k = int(np.searchsorted(efforts, self._turned_until))
+        return turns.begin + k if k < len(efforts) and efforts[k] == self._turned_until else None
 
     def _begin_sets(self, node: int, bias: Interval) -> None:
         """Ellipsoids around the boxes, where there are none and yaw is known; the count's error begins anew."""

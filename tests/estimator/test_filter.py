@@ -585,6 +585,26 @@ def test_a_board_that_reboots_costs_width_and_nothing_else(silence_ms: int, conf
 
 
 @both
+def test_counts_that_fail_for_longer_than_the_history_cost_width_and_nothing_else(config: FilterConfig) -> None:
+    """When they come again the gyro nodes of the last ones are forgotten: nothing is said from where they stood."""
+    world = World(4, mode="mixed", script="spin", seconds=26.0, gps=False)
+    start_ns = world.samples[0].stamp.mid_ns
+    pose, seen = Filter(ROBOT, replace(config, history_s=0.5), ENCODERS, IMU, None), 0
+    for count, sample in enumerate(world.samples):
+        after_ns = sample.stamp.mid_ns - start_ns
+        if isinstance(sample, WheelTicks) and 15_000_000_000 < after_ns < 24_000_000_000:
+            continue
+        pose.accept(sample)
+        box = pose.latest() if count % 40 == 0 else None
+        if box is not None:
+            true = world.pose[np.searchsorted(world.time_ns, box.latest_ns)]
+            assert np.all((box.low - 1e-3 <= true) & (true <= box.high + 1e-3))  # the grid's step
+            seen += after_ns > 24_500_000_000
+    assert seen > 10
+    assert pose.counts["attitude_history_missed"] > 0
+
+
+@both
 def test_a_counter_that_restarts_costs_width_and_nothing_else(config: FilterConfig) -> None:
     """Counts of another epoch are never subtracted."""
     world = World(7, seconds=5.0, mode="mixed")
