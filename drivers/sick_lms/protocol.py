@@ -4,12 +4,13 @@ from collections import Counter
 from dataclasses import dataclass
 
 from drivers.config import LaserConfig, latency_ns
-from drivers.samples import Scan, Stamp
+from drivers.samples import Scan
 from drivers.sick_lms.error_memory import ErrorEntry, parse_errors
 from drivers.sick_lms.expected_scans import ExpectedScans
 from drivers.sick_lms.findings import error_findings, status_findings
 from drivers.sick_lms.framing import SILENCE_WITHIN_FRAME_MS, Frame, FrameReader
 from drivers.sick_lms.measurements import CM, DISTANCE_BITS, MM, ValueFormat
+from drivers.sick_lms.sent_times import SentTimes
 from drivers.sick_lms.startup import (
     MOST_NAKS,
     MOST_WRITES,
@@ -45,9 +46,6 @@ NAK_PAUSE_MS = 30
 LONGEST_ANSWER = 170
 """Bytes of the longest answer but a scan: the status telegram."""
 LEAST_WATCHDOG_MS = 500
-NEVER_NS = -(1 << 62)
-CLOCK_TOLERANCE = 0.03
-"""A line's true rate differs from its nominal one by less than this, or nothing could be read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,13 +71,12 @@ class SickLmsProtocol:
         self._write_allowed = config.write_configuration
         self._goal = goal_of(config)
         self._latency_ns = latency_ns(config.latency_ms)
-        self._phase_ns = latency_ns(config.mirror_phase_ms)
+        self._sent_times = SentTimes(config, self.counts)
         self._rates = tuple(dict.fromkeys((config.baud, *RATES)))
         self._baud: int = config.baud
         self._reader = FrameReader(self.counts)
         self._found = Found(config.baud)
         self._expected: ExpectedScans | None = None  # since the stream was asked for
-        self._sent_latest_ns = NEVER_NS  # the last scan was sent no later
         self._asked_at = 0  # place in the stream of bytes where that was
         self._outbox = bytearray()
         self._trouble = ""
@@ -140,7 +137,7 @@ class SickLmsProtocol:
         """The port was opened: find the scanner anew, from the wanted rate on."""
         self._outbox.clear()
         self._released.clear()
-        self._sent_latest_ns = NEVER_NS
+        self._sent_times.restart()
         self._set_baud(self._goal.baud)
         self._state = State.TUNING
         self._deadline_ns = now_ns
@@ -237,24 +234,7 @@ class SickLmsProtocol:
         self.counts["scans"] += 1
         self._deadline_ns = now_ns + self._watchdog_ns()
         assert self._expected is not None  # STARTING came before
-        return self._expected.scan(frame.payload, self._sent(frame).shifted(*self._phase_ns))
-
-    def _sent(self, frame: Frame) -> Stamp:
-        """When the scanner began to send a telegram.
-
-        A byte is read when its last bit has come; and bytes that came behind it with the same read had come, too. They
-        may tell that the telegram's first byte was read later than declared; then the declared latency is taken as
-        that of the read's last byte. Telegrams are sent one after the other, so no stamp ends before an earlier one.
-        """
-        least, most = self._latency_ns
-        on_line = self._line_ns(frame.bytes_read)
-        surely = max(least, int(on_line / (1 + CLOCK_TOLERANCE)))
-        at_most = most + self._line_ns(1)
-        if surely > at_most:
-            self.counts["late_telegrams"] += 1
-            at_most += int(on_line * (1 + CLOCK_TOLERANCE))
-        self._sent_latest_ns = max(self._sent_latest_ns, frame.stamp_ns - surely)
-        return Stamp(frame.stamp_ns - at_most, self._sent_latest_ns)
+        return self._expected.scan(frame.payload, self._sent_times.of(frame, self._line_ns(1)))
 
     def _judge(self, payload: bytes) -> Outcome:
         """What the awaited answer means."""
