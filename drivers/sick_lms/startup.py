@@ -177,8 +177,10 @@ STEPS = {
     State.FINDING: Step(_mode(Mode.STOP), Command.MODE.answer, 3000),
     State.IDENTIFYING: Step(_ask(Command.TYPE), Command.TYPE.answer, 300),
     State.READING_STATUS: Step(_ask(Command.STATUS), Command.STATUS.answer, 300),
-    State.READING_ERRORS: Step(_ask(Command.ERRORS), Command.ERRORS.answer, 300),
-    State.READING_COUNTERS: Step(_ask(Command.COUNTERS), Command.COUNTERS.answer, 300, needless=_counts_no_hours),
+    State.READING_ERRORS: Step(_ask(Command.ERRORS), Command.ERRORS.answer, 300, tries=2),
+    State.READING_COUNTERS: Step(
+        _ask(Command.COUNTERS), Command.COUNTERS.answer, 300, tries=2, needless=_counts_no_hours
+    ),
     State.READING_CONFIGURATION: Step(_ask(Command.READ_CONFIGURATION), Command.READ_CONFIGURATION.answer, 300),
     State.ENTERING_INSTALLATION: Step(_mode(Mode.INSTALLATION, PASSWORD), Command.MODE.answer, 3000),
     State.WRITING_CONFIGURATION: Step(

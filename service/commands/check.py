@@ -100,6 +100,7 @@ def check(
         rates = f"{row['samples_per_s']:.1f}", f"{row['bytes_per_s']:.0f}"
         table.add_row(device.name, state, *rates, f"{100 * _damaged(row):.1f} %", port)
         remarks.append(_remark(device, row, reader))
+        remarks += [f"{device.name}: {finding}" for finding in row["findings"]]
         problems += _problems(device, row, reader)
     console.print(table)
     for line in filter(None, remarks):

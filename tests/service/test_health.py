@@ -148,3 +148,13 @@ def test_threads_report_and_ask_at_once() -> None:
     rows = health.snapshot(2000)["devices"]
     assert [rows[name]["samples"] for name in names] == [2000] * 4
     assert [rows[name]["bytes"] for name in names] == [6000] * 4
+
+
+def test_what_a_device_says_of_itself_is_in_the_snapshot() -> None:
+    """Sentences for people, as they stand when somebody asks."""
+    health, findings = Health(), list[str]()
+    health.watch("laser", 0.5, findings=lambda: findings)
+
+    assert health.snapshot(S)["devices"]["laser"]["findings"] == []
+    findings.append("the scanner's window is dirty: clean it")
+    assert health.snapshot(S)["devices"]["laser"]["findings"] == ["the scanner's window is dirty: clean it"]
