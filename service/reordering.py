@@ -14,6 +14,8 @@ import numpy as np
 from drivers.samples import Sample, Scan
 from service.sample_queue import Arrival
 
+_BEGINNING_NS = -(1 << 63)
+
 
 def time_in_order(sample: Sample) -> int:
     """The instant that a sample is sorted by: the end of its stamp, for a scan that of its last shot.
@@ -36,12 +38,16 @@ class ReorderingWindow:
         self._capacity = capacity
         self._heap: list[tuple[int, int, int, Arrival]] = []
         self._arrived: Counter[str] = Counter()
+        self._newest_of: dict[str, int] = {}
         self._newest_ns: int | None = None
         self._released: tuple[int, int] | None = None
 
     def add(self, arrival: Arrival) -> None:
         """Take one arrival into the window, or count it as late."""
-        when = time_in_order(arrival.sample)
+        # Samples of one device never overtake each other, however late the reads that gave them.
+        when = self._newest_of[arrival.device] = max(
+            time_in_order(arrival.sample), self._newest_of.get(arrival.device, _BEGINNING_NS)
+        )
         rank = self._rank[arrival.device]
         if self._released is not None and (when, rank) < self._released:
             self.late[arrival.device] += 1

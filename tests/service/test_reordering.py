@@ -54,3 +54,11 @@ def test_a_sample_waits_until_the_window_has_passed() -> None:
     assert list(window.release()) == []
     window.add(ticks("imu", 50))
     assert [a.sample.stamp.mid_ns for a in window.release()] == [0]
+
+
+def test_samples_of_one_device_never_overtake_each_other() -> None:
+    """Where a late read left some stamps with later ends than those behind them, the order stays that of arrival."""
+    arrivals = [ticks("imu", t) for t in (100, 400, 350, 360, 401)]
+    out, window = run([*arrivals[:3], ticks("encoders", 380), *arrivals[3:]], 200)
+    assert [a for a in out if a.device == "imu"] == arrivals
+    assert not window.late
