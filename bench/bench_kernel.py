@@ -165,8 +165,8 @@ def section(repeats: int = 500) -> str:
 
 
 TEXT = f"""One scan of {BEAMS} beams, cells of 5 cm, the scanner 0.468 m high and 10 degrees down over rough ground: CPU
-time of the whole call from Python, warm, the quietest of {TURNS} turns (the machine is shared). Marks: 30 us at 22 cells
-a beam, 50 us at 150; 10 and 30 times numpy.
+time of the whole call from Python, warm, the quietest of {TURNS} turns (the machine is shared). Marks: 30 us at 22
+cells a beam, 50 us at 150; 10 and 30 times numpy.
 
 | pose error | cells a beam | cells seen | kernel p1 / p50 / p99 | a beam | numpy, same maths | times |
 |---|---|---|---|---|---|---|

@@ -200,7 +200,7 @@ def touch_block(
 
     hits: each footprint holds a point that was measured.
     """
-    plane_address, stride = np.uint64(pool.ctypes.data + plane * TILE_BYTES), pool.shape[1] * TILE_BYTES
+    plane_address, stride = np.uint64(pool.ctypes.data) + np.uint64(plane * TILE_BYTES), pool.shape[1] * TILE_BYTES
     last_key, last_tile = np.uint64(0), np.int64(-1)
     for lane in range(count):
         fate = spans[S_FATE + lane]
