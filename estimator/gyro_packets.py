@@ -83,17 +83,22 @@ class GyroPackets:
             self._journal.counts["second_gyro"] += 1
             return False
         last = self._packets[-1] if self._packets else None
-        if last is not None and (
-            sample.stamp.latest_ns < last.stamp.earliest_ns
-            or (
-                sample.device_time_us is not None
-                and last.device_us is not None
-                and sample.epoch == last.epoch
-                and sample.device_time_us <= last.device_us
-            )
-        ):
+        if last is not None and (sample.stamp.latest_ns < last.stamp.earliest_ns or self._goes_back(sample, last)):
             self._journal.counts["gyro_out_of_order"] += 1
             return False
+        return True
+
+    def _goes_back(self, sample: InertialSample, last: Packet) -> bool:
+        """Is the packet no newer by the board's clock? Where it surely is by the host's stamps, that clock is wrong."""
+        if sample.device_time_us is None or last.device_us is None or sample.epoch != last.epoch:
+            return False
+        between_us = sample.device_time_us - last.device_us
+        if between_us > 0:
+            return False
+        at_most_ns = max(0, between_us + _resolution_us(sample)) * 1000 / (1.0 - self._drift) + 2
+        surely_ns = sample.stamp.earliest_ns - last.stamp.latest_ns
+        if surely_ns > at_most_ns:
+            self._journal.report("imu_clock", sample.stamp.mid_ns, (surely_ns - at_most_ns) * 1e-9, "s")
         return True
 
     def append(self, sample: InertialSample, stamp: Stamp, effort: NDArray[np.int64]) -> None:

@@ -133,12 +133,37 @@ def spinning_tracks(mps: float) -> Meddle:
     )
 
 
+def clock_stuck() -> Meddle:
+    """The board's clock stands still."""
+    held: list[int | None] = []
+
+    def change(reading: Reading, t: float) -> Reading:
+        if isinstance(reading, InertialSample):
+            held.append(reading.device_time_us)
+            return replace(reading, device_time_us=held[0])
+        return reading
+
+    return during(change)
+
+
+def clock_step(microseconds: int) -> Meddle:
+    """The board's clock is set, and goes on from there."""
+    return lambda reading, t: (
+        replace(reading, device_time_us=(reading.device_time_us or 0) + microseconds)
+        if isinstance(reading, InertialSample) and t >= BEGIN_S
+        else reading
+    )
+
+
 FAULTS: dict[str, tuple[Meddle, str]] = {
     "GPS jumps 2 m": (gps_jump(2.0), "gps"),
     "GPS jumps 20 m": (gps_jump(20.0), "gps"),
     "GPS jumps 100 m": (gps_jump(100.0), "gps"),
     "the tilt sensor reads 10 degrees too much": (tilt_off(10.0), "tilt"),
     "the tracks slip": (spinning_tracks(0.4), "encoders"),
+    "the board's clock is stuck": (clock_stuck(), "imu_clock"),
+    "the board's clock steps forward": (clock_step(700_000), "imu_clock"),
+    "the board's clock steps back": (clock_step(-700_000), "imu_clock"),
 }
 
 
