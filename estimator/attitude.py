@@ -13,8 +13,17 @@ from drivers.samples import InertialSample, Stamp
 from estimator.config import FilterConfig, RobotConfig
 from estimator.gyro_packets import GyroPackets, Packet
 from estimator.inconsistency import Journal, least_excess
-from estimator.interval import Interval, is_empty, meet, up, widen
-from estimator.motion import QUANTUM, GyroBounds, add_effort, excursion, relative_yaw_between, rotate, turn
+from estimator.interval import Interval, add, is_empty, meet, up, widen
+from estimator.motion import (
+    QUANTUM,
+    GyroBounds,
+    add_effort,
+    excursion,
+    relative_yaw,
+    relative_yaw_between,
+    rotate,
+    turn,
+)
 from estimator.observations import contract_tilt
 from estimator.tube import Tube
 
@@ -47,6 +56,7 @@ class AttitudeChain:
             most_acceleration=up(radians(robot.max_turn_acceleration_dps2)),
             most_bias=up(radians(imu.gyro_bias_bound_dps)),
             bias_drift=up(radians(imu.gyro_bias_drift_dps2)),
+            most_tilt_rate=up(radians(robot.max_tilt_rate_dps or robot.max_turn_rate_dps)),
         )
         self._tilt_bound = up(radians(imu.tilt_bound_deg))
         self._accel_bound = up(imu.accel_bound_mps2 + robot.max_acceleration_mps2)
@@ -80,6 +90,7 @@ class AttitudeChain:
         was_level = self.level
         self.level = self.level and turn(box, turned, varied, swing, plain, heading)
         i = self._append(sample, elapsed.stamp, varied)
+        self.tube.net[i] = turned
         if self.level:
             self.tube.box[i], self.tube.swing[i] = box, swing
         else:
@@ -188,6 +199,27 @@ class AttitudeChain:
                 tube.box[i, c] = widen((box[c, 0], box[c, 1]), moved[min(c, 2)])
             tube.swing[i + 1] = 0.0  # node i's box holds all that comes between it and the newest
 
+    def narrow_yaw(self, first: int, last: int, node: int, change: Interval, time_ns: int) -> None:
+        """Yaw at `node` is yaw at some instant between nodes `first` and `last`, and [change]. So all later ones, too.
+
+        Not where yaw is so little known that another turn than the one before may have been taken for it meanwhile.
+        """
+        tube, bias, before = self.tube, self.bias_since(node), self.tube.hull(first, last)
+        if tube.heading[node, 2] - tube.heading[first, 2] >= LOST_YAW:
+            return
+        for row in (MAP_YAW, EARTH_YAW):
+            if before[row, 1] - before[row, 0] > UNKNOWN_YAW:
+                continue
+            yaw = meet((tube.box[node, row, 0], tube.box[node, row, 1]), add((before[row, 0], before[row, 1]), change))
+            if is_empty(yaw):
+                self._journal.report("gyro", time_ns, yaw[0] - yaw[1], "rad")
+                return
+            for i in range(node, tube.end):
+                later = add(yaw, relative_yaw(tube.heading[i], tube.heading[node], bias))
+                later = meet((tube.box[i, row, 0], tube.box[i, row, 1]), later)
+                if not is_empty(later):
+                    tube.box[i, row] = later
+
     def learn_bias(self, begin_ns: int, end_ns: int, used_until_ns: int) -> None:
         """The robot stood still: what packets of [begin, end] measured since the last call was bias."""
         for packet in reversed(self.packets):
@@ -271,6 +303,7 @@ class AttitudeChain:
         effort = np.ceil(varied / QUANTUM).astype(np.int64) + 1
         i = tube.prepend(time_ns)
         tube.effort[i] = tube.effort[first] - effort
+        tube.net[first, :, 0], tube.net[first, :, 1] = -varied, varied
         tube.swing[first] = 0.0  # the new node's box holds all that comes between
         tube.heading[i] = tube.heading[first] - (0.0, 0.0, up(moved[2]) if close else LOST_YAW)
         for c in range(4):

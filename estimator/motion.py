@@ -40,6 +40,8 @@ from estimator.interval import (
 
 STEEPEST = 1.4
 """Beyond this pitch (80 degrees) Euler rates are not enclosed any more: the attitude counts as lost."""
+CAREFUL = 0.2
+"""rad: an excursion guessed larger than this is enclosed step by step."""
 QUANTUM = 2.0**-40
 """Variations are summed in whole numbers of this (rad), so that sums over hours are exact."""
 SECOND = 1e-9
@@ -57,6 +59,8 @@ class GyroBounds(NamedTuple):
     most_bias: float
     bias_drift: float
     """|d(bias)/dt|."""
+    most_tilt_rate: float = 1e3
+    """|body rate| about x and y, where it is slower."""
 
 
 class TrackBounds(NamedTuple):
@@ -113,11 +117,11 @@ def rotate(
     """
     sound = True
     error = 0.0
-    most = up(bounds.most_rate * time_high)
     aged = up(bounds.bias_drift * time_high)
     for i in range(3):
         bias[i, 0] = max(down(bias[i, 0] - aged), -bounds.most_bias)
         bias[i, 1] = min(up(bias[i, 1] + aged), bounds.most_bias)
+        most = up((bounds.most_rate if i == 2 else min(bounds.most_rate, bounds.most_tilt_rate)) * time_high)
         net = (-most, most)
         told = False
         if rate[i] == rate[i]:
@@ -160,7 +164,10 @@ def excursion(roll: Interval, pitch: Interval, varied: NDArray[np.float64], out:
     guess = up(2.0 * up(varied[0] + up(varied[1] + varied[2])))
     v0 = guess
     v1 = guess
-    for _ in range(12):
+    if guess > CAREFUL:  # so large that it may be too steep itself: come from below
+        v0 = up(1.1 * varied[0])
+        v1 = up(1.1 * varied[1])
+    for _ in range(24):
         theta = widen(pitch, v1)
         if not mag(theta) < STEEPEST:
             return False
@@ -176,8 +183,8 @@ def excursion(roll: Interval, pitch: Interval, varied: NDArray[np.float64], out:
             out[1] = f1
             out[2] = up(secant * sideways)
             return True
-        v0 = max(v0, 1.5 * f0)
-        v1 = max(v1, 1.5 * f1)
+        v0 = max(v0, 1.2 * f0)
+        v1 = max(v1, 1.2 * f1)
     return False
 
 

@@ -31,6 +31,7 @@ from estimator.ellipsoidal_position import EllipsoidalPosition
 from estimator.inconsistency import Journal
 from estimator.position import EARTH, MAP, NO_EPOCH, PositionChain
 from estimator.standstill import Standstill
+from estimator.track_yaw import TrackYaw
 from estimator.tube import poses_between
 
 PENDING = 4096
@@ -57,6 +58,7 @@ class PoseSet:
         """Sensors that count as missing."""
         self._attitude = AttitudeChain(robot, config, imu, self.journal)
         self._position = POSITION_CHAINS[config.set](robot, config, encoders, self._attitude, self.journal)
+        self._track_yaw = TrackYaw(robot.turning_gauge_m, self._position.tracks, self._attitude, self.journal)
         self._standstill = Standstill(config.standstill_s, self._attitude)
         self._anchoring = Anchoring(gps, self._attitude, self._position, self.journal)
         self._tilts: deque[InertialSample] = deque(maxlen=PENDING)
@@ -147,7 +149,7 @@ class PoseSet:
             return
         self._standstill.watch(ticks)
         if self._position.last_ticks is not ticks:
-            self._position.predict(ticks)
+            self._track_yaw.watch(ticks.stamp, self._position.predict(ticks))
 
     # ---------------------------------------------------------------- poses out
 
