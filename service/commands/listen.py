@@ -45,7 +45,7 @@ def lms(
     /,
     *,
     baud: Literal[9600, 19200, 38400, 500000] = 500000,
-    scan_angle: Literal[100, 180] = 180,
+    scan_angle: Literal[90, 100, 180] = 180,
     resolution: Literal["0.25", "0.5", "1"] = "1",
     unit: Literal["mm", "cm"] | None = None,
     configure: bool = False,
@@ -62,7 +62,7 @@ def lms(
     baud
         Rate to stream at; a port that can't run at 500000 needs 38400.
     scan_angle
-        Degrees.
+        Degrees; 90 with resolution 0.5 for the LMS Fast.
     resolution
         Degrees from beam to beam.
     unit
