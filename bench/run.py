@@ -48,7 +48,8 @@ PROOF_TEXT = """## Soundness
 POSE_SETS_TEXT = """## Pose sets
 
 How wide they are, beside a Kalman filter's and the reference's figures (`python -m bench.pose_sets --page`):
-[POSE_SETS.md](POSE_SETS.md).
+[POSE_SETS.md](POSE_SETS.md). What happens when a sensor breaks its bound (`python -m bench.pose_faults --page`):
+[POSE_FAULTS.md](POSE_FAULTS.md).
 
 ## Ghosts
 

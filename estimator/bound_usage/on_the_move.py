@@ -44,7 +44,9 @@ class Turning:
     stamp_ns: int
     """Longest stamp: a packet's time is off by at most half of it."""
     seconds: Array
-    """[n] from the packet before; the longest that the board's clock allows."""
+    """[n] from the packet before, as the board's clock has it."""
+    longest: Array
+    """[n] the same at most: its resolution and drift."""
     rate: Array
     """[n, 3] rad/s; 0 where an axis is not measured."""
     measured: NDArray[np.bool_]
@@ -60,8 +62,8 @@ class Turning:
 
     def varied(self, ledger: Ledger) -> Array:
         """[n, 3] integral of |rate| since the packet before, at most: a rate may change its sign (SMF equation 5)."""
-        turn_back = 0.25 * np.radians(ledger.trusted(TURN_ACCELERATION)) * self.seconds[:, None] ** 2
-        return np.asarray((np.abs(self.rate) + self.rate_error(ledger)) * self.seconds[:, None] + turn_back)
+        turn_back = 0.25 * np.radians(ledger.trusted(TURN_ACCELERATION)) * self.longest[:, None] ** 2
+        return np.asarray((np.abs(self.rate) + self.rate_error(ledger)) * self.longest[:, None] + turn_back)
 
 
 def turning(gyro: Inertial, drift_ppm: float) -> Turning | None:
@@ -72,14 +74,16 @@ def turning(gyro: Inertial, drift_ppm: float) -> Turning | None:
     seconds = np.diff(when, prepend=when[0]) * 1e-9
     coarse = bool(np.all(np.nan_to_num(gyro.device_us) % MILLISECOND_US == 0.0))
     resolution_us = MILLISECOND_US if coarse else 1.0
-    device = (np.diff(gyro.device_us, prepend=np.nan) + resolution_us) * 1e-6 * (1.0 + drift_ppm * 1e-6)
+    device = np.diff(gyro.device_us, prepend=np.nan) * 1e-6
     same = np.diff(gyro.epoch, prepend=gyro.epoch[0]) == 0
     seconds = np.where(same & np.isfinite(device) & (device > 0.0), device, np.maximum(seconds, 0.0))
     seconds[0] = 0.0
+    longest = (seconds + resolution_us * 1e-6) * (1.0 + drift_ppm * 1e-6)
     return Turning(
         when,
         int((gyro.stamps.latest_ns - gyro.stamps.earliest_ns).max()),
         seconds,
+        longest,
         np.nan_to_num(gyro.values),
         np.asarray(np.isfinite(gyro.values).all(axis=0)),
         ~same | (seconds > GAP * float(np.median(seconds[1:]))),
@@ -100,9 +104,9 @@ def weigh_turning(ledger: Ledger, turns: Turning) -> None:
         )  # fmt: skip
         # the mean over [t - T, t] and the one over [t, t + T'] are rates at two instants at most T + T' apart
         change = np.degrees(np.abs(np.diff(turns.rate[:, k])))
-        noise = 2.0 * ledger.trusted(GYRO_NOISE) + ledger.trusted(GYRO_DRIFT) * 2.0 * float(turns.seconds.max())
+        noise = 2.0 * ledger.trusted(GYRO_NOISE) + ledger.trusted(GYRO_DRIFT) * 2.0 * float(turns.longest.max())
         scale = ledger.trusted(GYRO_SCALE) * (seen[1:, k] + seen[:-1, k]) * 1.1
-        apart = turns.seconds[1:] + turns.seconds[:-1]
+        apart = turns.longest[1:] + turns.longest[:-1]
         usable = ~turns.gap[1:] & ~turns.gap[:-1] & (apart > 0.0) & (np.arange(1, len(turns.rate)) > 1)
         with np.errstate(divide="ignore", invalid="ignore"):
             needed = np.where(usable, np.maximum(change - noise - scale, 0.0) / apart, np.nan)
@@ -172,12 +176,13 @@ def _slip_in_turns(
     if len(begin) == 0:
         return
     angle = np.cumsum(turns.rate[:, 2] * turns.seconds)
-    error = np.cumsum(turns.rate_error(ledger)[:, 2] * turns.seconds)
+    untimed = np.abs(turns.rate[:, 2]) * (turns.longest - turns.seconds)
+    error = np.cumsum(turns.rate_error(ledger)[:, 2] * turns.longest + untimed)
     gaps = np.cumsum(turns.gap)
     at = np.interp(when, turns.when_ns, angle)
     err = np.interp(when, turns.when_ns, error)
     missing = np.interp(when, turns.when_ns, gaps)
-    packet_s = float(np.median(turns.seconds))
+    packet_s = float(np.median(turns.longest))
     # both ends of the window are known to within the stamps and a packet
     fastest = np.maximum(_fastest_near(turns, when[begin]), _fastest_near(turns, when[end]))
     stamps = (recording.ticks.latest_ns - recording.ticks.earliest_ns).astype(float) * 1e-9
