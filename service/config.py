@@ -130,6 +130,8 @@ def _explain(entry: Any) -> str:
     if kind in ("missing", "missing_argument", "missing_keyword_only_argument"):
         return f"{path}: missing; it has no default, only the owner can know it"
     message = re.sub(r"^(Value error, |Input )", "", entry["msg"])
+    if isinstance(found, dict):  # about several keys at once: it names them
+        return f"{path}: {message}"
     return f"{path}: {found!r} {message}"
 
 

@@ -211,8 +211,9 @@ def declared(kind: Callable[..., C], **fields: Any) -> C:
     try:
         return kind(**fields)
     except ValidationError as error:
-        wrong = "; ".join(f"{entry['loc'][0]}: {entry['msg']}" for entry in error.errors(include_url=False))
-        raise ConfigurationError(wrong) from None
+        entries = error.errors(include_url=False)
+        # Without a place it is about several keys, and names them itself.
+        raise ConfigurationError("; ".join(": ".join([*map(str, e["loc"][:1]), e["msg"]]) for e in entries)) from None
 
 
 def read_dbc(path: Path) -> str:

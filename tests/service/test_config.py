@@ -80,3 +80,11 @@ def test_a_missing_file_is_said_so(tmp_path: Path) -> None:
     """The file is named, and where to find examples."""
     with pytest.raises(ConfigurationError, match=r"nowhere\.toml: no such file"):
         load(tmp_path / "nowhere.toml")
+
+
+def test_keys_that_contradict_each_other_are_named() -> None:
+    """The LMS Fast's 90 degrees come at 0.5 degree alone: said in a line, not with the whole section."""
+    text = complaint(DEMO.replace("scan_angle_deg = 180", "scan_angle_deg = 90"))
+
+    assert "devices.laser: resolution_deg: at 90 degrees" in text
+    assert "range_bound_m" not in text
