@@ -5,11 +5,16 @@ coordinates then; `swing` says how far a coordinate can leave the hull of two ne
 true order of nodes is the order of their numbers, so their stamps are kept rising.
 """
 
+from copy import copy
+
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.compiled import compiled
 from estimator.interval import down, up
+
+PER_NODE = ("times", "box", "swing", "net", "local", "heading", "effort")
+"""The arrays of a tube."""
 
 
 class Tube:
@@ -33,6 +38,16 @@ class Tube:
         self.begin = 1
         self.end = 1
 
+    def __deepcopy__(self, memo: dict[int, object]) -> "Tube":
+        """The nodes that there are; the rest of the arrays is memory not yet touched, and costs nothing."""
+        new = copy(self)
+        for name in PER_NODE:
+            old = getattr(self, name)
+            mine = np.zeros(old.shape, old.dtype)
+            mine[self.begin : self.end] = old[self.begin : self.end]
+            setattr(new, name, mine)
+        return new
+
     def __len__(self) -> int:
         return self.end - self.begin
 
@@ -48,17 +63,9 @@ class Tube:
         """
         if self.end == len(self.times):
             self._make_room(earliest_ns - self._history_ns)
-        i = self.end
-        if i > self.begin:
-            earliest_ns = max(earliest_ns, int(self.times[i - 1, 0]))
-            latest_ns = max(latest_ns, earliest_ns)
-        self.times[i] = earliest_ns, latest_ns
-        j = i - 1
-        while j >= self.begin and self.times[j, 1] > latest_ns:
-            self.times[j, 1] = latest_ns
-            j -= 1
+        put_in_order(self.times, self.begin, self.end, earliest_ns, latest_ns)
         self.end += 1
-        return i
+        return self.end - 1
 
     def prepend(self, time_ns: int) -> int:
         """Index of a new node before the first one, at one exact time."""
@@ -73,7 +80,7 @@ class Tube:
         first = min(self.begin + max(keep - 1, 0), self.end - 1)
         size = self.end - first
         capacity = len(self.times) * (2 if size > len(self.times) // 2 else 1)
-        for name in ("times", "box", "swing", "net", "local", "heading", "effort"):
+        for name in PER_NODE:
             old = getattr(self, name)
             new = np.zeros((capacity, *old.shape[1:]), dtype=old.dtype)
             new[1 : size + 1] = old[first : self.end]
@@ -113,6 +120,19 @@ class Tube:
         out = np.empty(self.box.shape[1:])
         hull_between(self.box, self.swing, first, last, out)
         return out
+
+
+@compiled
+def put_in_order(times: NDArray[np.int64], begin: int, i: int, earliest_ns: int, latest_ns: int) -> None:
+    """Stamp node i, after nodes [begin, i): it is not before any of them, and none of them after it."""
+    if i > begin:
+        earliest_ns = max(earliest_ns, times[i - 1, 0])
+        latest_ns = max(latest_ns, earliest_ns)
+    times[i, 0], times[i, 1] = earliest_ns, latest_ns
+    j = i - 1
+    while j >= begin and times[j, 1] > latest_ns:
+        times[j, 1] = latest_ns
+        j -= 1
 
 
 @compiled

@@ -1,5 +1,7 @@
 """The tube of nodes: what lies between them, which of them surround a time, and how the old ones go."""
 
+from copy import deepcopy
+
 import numpy as np
 
 from estimator.tube import Tube, poses_between
@@ -32,6 +34,19 @@ def test_a_time_is_surrounded_by_nodes_surely_before_and_surely_after() -> None:
     assert [tube.after(t) for t in (0, 1, 10, 11, 20, 21)] == [1, 2, 2, 3, 3, 4]
     assert tube.reaches(20)
     assert not tube.reaches(21)
+
+
+def test_a_copy_has_the_same_nodes_and_a_life_of_its_own() -> None:
+    """A checkpoint says what the tube said then, whatever the tube is told since."""
+    tube = tube_of([(0, 5), (10, 15), (20, 25)])
+    then = deepcopy(tube)
+    hull, times = tube.hull(1, 3), tube.times[1:4].copy()
+    tube.box[tube.push(22, 23)] = 99.0
+    tube.box[2] = -99.0
+    assert len(then) == 3
+    assert np.array_equal(then.hull(1, 3), hull)
+    assert np.array_equal(then.times[1:4], times)
+    assert then.push(30, 35) == 4
 
 
 def test_a_later_node_bounds_the_times_of_those_before() -> None:
