@@ -8,16 +8,17 @@ from math import isnan, radians
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.compiled import compiled
 from drivers.config import ImuConfig
-from drivers.samples import InertialSample, Stamp
+from drivers.samples import InertialSample, Stamp, Vector3
 from estimator.config import FilterConfig, RobotConfig
-from estimator.gyro_packets import GyroPackets, Packet
+from estimator.gyro_packets import Effort, GyroPackets, Packet
 from estimator.inconsistency import Journal, least_excess
 from estimator.interval import Interval, add, is_empty, meet, up, widen
 from estimator.motion import (
     QUANTUM,
     GyroBounds,
-    add_effort,
+    aged_bias,
     excursion,
     relative_yaw,
     relative_yaw_between,
@@ -69,7 +70,6 @@ class AttitudeChain:
         """Is the newest attitude a verified box?"""
         self.zeroed = False
         """Has the map begun?"""
-        self._turned, self._varied, self._swing, self._plain = np.zeros((3, 2)), np.zeros(3), np.zeros(4), np.zeros(5)
 
     # ---------------------------------------------------------------- predict
 
@@ -78,53 +78,37 @@ class AttitudeChain:
         if not self.packets.fits(sample):
             return
         if not len(self.packets):
-            self._append(sample, sample.stamp, np.zeros(3))
+            self._begin(sample)
             return
-        elapsed = self.packets.elapsed(sample)
-        turned, varied, swing, plain = self._turned, self._varied, self._swing, self._plain
-        rate = np.array(sample.gyro_rps)
-        if not rotate(rate, self.bias, elapsed.least_s, elapsed.most_s, elapsed.gap, self.gyro, turned, varied, plain):
-            self._journal.report("gyro", sample.stamp.mid_ns, self._too_fast(rate), "rad/s")
-        newest = self.tube.newest
-        box, heading = self.tube.box[newest].copy(), self.tube.heading[newest].copy()
-        was_level = self.level
-        self.level = self.level and turn(box, turned, varied, swing, plain, heading)
-        i = self._append(sample, elapsed.stamp, varied)
-        self.tube.net[i] = turned
-        if self.level:
-            self.tube.box[i], self.tube.swing[i] = box, swing
-        else:
-            self.tube.box[i, 2:] = box[2:]
-            heading[2] += LOST_YAW
-            if was_level:
-                self._journal.counts["attitude_lost"] += 1
-                yaw = 0.5 * (box[2:, 0] + box[2:, 1])
-                self.tube.box[i, 2:, 0] = np.minimum(box[2:, 0], yaw - UNKNOWN_YAW)
-                self.tube.box[i, 2:, 1] = np.maximum(box[2:, 1], yaw + UNKNOWN_YAW)
-        self.tube.heading[i] = heading
+        elapsed, tube, was_level = self.packets.elapsed(sample), self.tube, self.level
+        i = tube.push(elapsed.stamp.earliest_ns, elapsed.stamp.latest_ns)
+        sound, self.level, effort = turn_node(
+            i, sample.gyro_rps, elapsed.least_s, elapsed.most_s, elapsed.gap, was_level, tuple(self.gyro), self.bias,
+            tube.box, tube.swing, tube.net, tube.heading, tube.effort,
+        )  # fmt: skip
+        self.packets.append(sample, elapsed.stamp, effort)
+        if not sound:
+            self._journal.report("gyro", sample.stamp.mid_ns, self._too_fast(sample.gyro_rps), "rad/s")
+        if was_level and not self.level:
+            self._journal.counts["attitude_lost"] += 1
 
-    def _too_fast(self, rate: NDArray[np.float64]) -> float:
+    def _too_fast(self, rate: Vector3) -> float:
         """By how much a packet's rate is beyond the declared one, bias left out."""
         most = self.gyro.most_rate * (1.0 + self.gyro.scale) + self.gyro.most_bias + self.gyro.noise
         return max(0.0, float(np.nanmax(np.abs(rate))) - most)
 
-    def _append(self, sample: InertialSample, stamp: Stamp, varied: NDArray[np.float64]) -> int:
-        """A node whose tilt is not known yet."""
-        effort = np.empty(3, dtype=np.int64)
-        add_effort(self.packets[-1].effort if len(self.packets) else np.zeros(3, dtype=np.int64), varied, effort)
-        i = self.tube.push(stamp.earliest_ns, stamp.latest_ns)
-        self.tube.effort[i] = effort
+    def _begin(self, sample: InertialSample) -> None:
+        """The first node, of which nothing is known yet."""
+        i = self.tube.push(sample.stamp.earliest_ns, sample.stamp.latest_ns)
+        self.tube.effort[i] = 1
         self.tube.box[i, :2] = -UNKNOWN_TILT, UNKNOWN_TILT
         self.tube.box[i, 2:] = -UNKNOWN_YAW, UNKNOWN_YAW
-        self.tube.swing[i] = 0.0
-        self.packets.append(sample, stamp, effort)
-        return i
+        self.packets.append(sample, sample.stamp, (1, 1, 1))
 
     def bias_since(self, node: int) -> Interval:
         """Bias of ω_z at any time from a node on."""
-        times = self.tube.times
-        seconds = up((int(times[self.tube.newest, 1]) - int(times[node, 0])) * 1e-9)
-        return widen((self.bias[2, 0], self.bias[2, 1]), up(self.gyro.bias_drift * seconds))
+        times, bias = self.tube.times, (self.bias[2, 0], self.bias[2, 1])
+        return aged_bias(bias, self.gyro.bias_drift, times[node, 0], times[self.tube.newest, 1])
 
     def yaw_between(self, first: int, last: int, to: int | None = None) -> Interval:
         """Yaw at all that lies between two nodes less yaw at node `to`, not before them (default: at the first)."""
@@ -252,7 +236,8 @@ class AttitudeChain:
         self.level = self.level and other.level
         self.tube.heading[self.tube.end - k : self.tube.end, 2] += LOST_YAW * np.arange(1, k + 1)
         if len(self.packets):
-            self.packets.begin_anew(self.tube.effort[self.tube.newest].copy())
+            roll, pitch, yaw = self.tube.effort[self.tube.newest].tolist()
+            self.packets.begin_anew((roll, pitch, yaw))
 
     # ---------------------------------------------------------------- the beginning
 
@@ -309,6 +294,45 @@ class AttitudeChain:
         for c in range(4):
             limit = UNKNOWN_TILT if c < 2 else UNKNOWN_YAW
             tube.box[i, c] = widen((box[c, 0], box[c, 1]), moved[min(c, 2)]) if close else (-limit, limit)
+
+
+@compiled
+def turn_node(
+    i: int,
+    rate: Vector3,
+    least_s: float,
+    most_s: float,
+    gap: bool,
+    level: bool,
+    bounds: tuple[float, ...],
+    bias: NDArray[np.float64],
+    box: NDArray[np.float64],
+    swing: NDArray[np.float64],
+    net: NDArray[np.float64],
+    heading: NDArray[np.float64],
+    effort: NDArray[np.int64],
+) -> tuple[bool, bool, Effort]:
+    """Node i of the tube from the one before: rotate -> turn, with an attitude unknown where that can't be enclosed.
+
+    Did no axis turn faster than declared; is the attitude a verified box, as it was before (`level`); the effort.
+    `bounds` are GyroBounds as a plain tuple, which is handed over four times as fast.
+    """
+    varied, plain = np.empty(3), np.empty(5)
+    measured = (float(rate[0]), float(rate[1]), float(rate[2]))
+    sound = rotate(measured, bias, least_s, most_s, gap, GyroBounds(*bounds), net[i], varied, plain)
+    for axis in range(3):
+        effort[i, axis] = effort[i - 1, axis] + int(np.ceil(varied[axis] / QUANTUM)) + 1
+    box[i], heading[i], swing[i] = box[i - 1], heading[i - 1], 0.0
+    still_level = level and turn(box[i], net[i], varied, swing[i], plain, heading[i])
+    if not still_level:
+        heading[i, 2] += LOST_YAW
+        for c in range(box.shape[1]):
+            if c < MAP_YAW:
+                box[i, c, 0], box[i, c, 1] = -UNKNOWN_TILT, UNKNOWN_TILT
+            elif level:
+                yaw = 0.5 * (box[i, c, 0] + box[i, c, 1])
+                box[i, c, 0], box[i, c, 1] = min(box[i, c, 0], yaw - UNKNOWN_YAW), max(box[i, c, 1], yaw + UNKNOWN_YAW)
+    return sound, still_level, (effort[i, 0], effort[i, 1], effort[i, 2])
 
 
 def radians_of(effort: NDArray[np.int64]) -> NDArray[np.float64]:

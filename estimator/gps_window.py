@@ -59,11 +59,9 @@ class GpsWindow:
     ) -> None:
         """The open block goes on by one step: its box [3, 2] and its middle axis [3], along the step's heading."""
         if self.count:
-            k = self.count - 1
-            drift = up(self._drift * up(now_s - self._seconds[k]))
             extend_block(
-                step, axis, heading, quantum, bias, drift, self._heading[k], self._bias[k], self._last, self._way[k],
-                self._by_bias[k], self._error[k], self._path[k : k + 1],
+                self.count - 1, step, axis, heading, quantum, bias, self._drift, now_s, self._heading, self._seconds,
+                self._bias, self._last, self._way, self._by_bias, self._error, self._path,
             )  # fmt: skip
 
     def narrowed(
@@ -114,28 +112,33 @@ class GpsWindow:
 
 @compiled
 def extend_block(
+    k: int,
     step: NDArray[np.float64],
     axis: NDArray[np.float64],
     heading: NDArray[np.float64],
     quantum: float,
     bias: NDArray[np.float64],
     drift: float,
-    start: NDArray[np.float64],
-    reference: float,
+    now_s: float,
+    starts: NDArray[np.float64],
+    seconds: NDArray[np.float64],
+    references: NDArray[np.float64],
     last: NDArray[np.float64],
-    way: NDArray[np.float64],
-    by_bias: NDArray[np.float64],
-    error: NDArray[np.float64],
-    path: NDArray[np.float64],
+    ways: NDArray[np.float64],
+    by_biases: NDArray[np.float64],
+    errors: NDArray[np.float64],
+    paths: NDArray[np.float64],
 ) -> None:
-    """SMF equation 19: way + by_bias (b - reference) ± error, in the yaw frame of `start`, a step longer.
+    """SMF equation 19: block k, way + by_bias (b - reference) ± error in the yaw frame of its start, a step longer.
 
     The step's heading is that of the block turned by α + τ (b - reference) + ν, |ν| <= ρ, with b the bias now; since
-    the block's start it drifted by no more than `drift`. The error of the count telescopes as in motion.travel: a
-    quantum for each change of the axis.
+    the block's start it drifted by no more than `drift` a second. The error of the count telescopes as in
+    motion.travel: a quantum for each change of the axis.
     """
+    start, reference, way, by_bias, error = starts[k], references[k], ways[k], by_biases[k], errors[k]
+    aged = up(drift * up(now_s - seconds[k]))
     tau = heading[1] - start[1]
-    rho = up(up(abs(heading[2] - start[2])) + up(abs(tau) * drift))
+    rho = up(up(abs(heading[2] - start[2])) + up(abs(tau) * aged))
     alpha = heading[0] - start[0] + tau * reference
     h = reach((bias[0], bias[1]), reference)
     spread = up(up(abs(tau) * h) + rho)
@@ -164,8 +167,8 @@ def extend_block(
         error[0] += bent
         error[1] += bent
     last[0], last[1], last[2], last[3] = ax, ay, tau, rho
-    path[0] += sqrt(dx * dx + dy * dy)
-    rounding = ROUNDING * (abs(way[0]) + abs(way[1]) + path[0] + 1e-3)
+    paths[k] += sqrt(dx * dx + dy * dy)
+    rounding = ROUNDING * (abs(way[0]) + abs(way[1]) + paths[k] + 1e-3)
     error[0] += rounding
     error[1] += rounding
 

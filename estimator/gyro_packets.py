@@ -6,10 +6,8 @@ The board's own clock says how long it was, to within its resolution and drift; 
 from collections import deque
 from collections.abc import Iterator
 from copy import copy, deepcopy
-from typing import NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
+from math import inf
+from typing import NamedTuple, TypeAlias
 
 from drivers.samples import InertialSample, Stamp
 from estimator.inconsistency import Journal
@@ -22,6 +20,9 @@ LEARNING_PACKETS = 8
 """Gyro packets until the shortest interval seen is taken for the board's period."""
 REMEMBERED = 4096
 
+Effort: TypeAlias = tuple[int, int, int]
+"""Summed variation of the body rates from the beginning on, in motion.QUANTUM."""
+
 
 class Packet(NamedTuple):
     """What later corrections need of a gyro packet."""
@@ -30,8 +31,8 @@ class Packet(NamedTuple):
     epoch: int
     device_us: int | None
     resolution_us: int
-    effort: NDArray[np.int64]
-    """[3] summed variation of the body rates up to here."""
+    effort: Effort
+    """Up to here."""
     rate: tuple[float, float, float]
     began_ns: int
     """Its mean surely covers nothing before this."""
@@ -56,7 +57,7 @@ class GyroPackets:
         self._journal = journal
         self._source: tuple[str, int] | None = None
         self._packets: deque[Packet] = deque(maxlen=REMEMBERED)
-        self._period_s = np.inf
+        self._period_s = inf
         self._intervals_seen = 0
 
     def __deepcopy__(self, memo: dict[int, object]) -> "GyroPackets":
@@ -101,7 +102,7 @@ class GyroPackets:
             self._journal.report("imu_clock", sample.stamp.mid_ns, (surely_ns - at_most_ns) * 1e-9, "s")
         return True
 
-    def append(self, sample: InertialSample, stamp: Stamp, effort: NDArray[np.int64]) -> None:
+    def append(self, sample: InertialSample, stamp: Stamp, effort: Effort) -> None:
         """The newest packet."""
         began_ns = (self._packets[-1] if self._packets else sample).stamp.earliest_ns
         self._packets.append(
@@ -110,7 +111,7 @@ class GyroPackets:
             )
         )
 
-    def begin_anew(self, effort: NDArray[np.int64]) -> None:
+    def begin_anew(self, effort: Effort) -> None:
         """Forget all but the newest packet; variations count from `effort` on."""
         newest = self._packets[-1]
         self._packets.clear()
@@ -152,10 +153,11 @@ class GyroPackets:
         newest = self._packets[-1]
         if sample.epoch < newest.epoch:
             return None, newest
-        if not _surely_not_after(sample, newest, backward=True):
+        own_us = _resolution_us(sample)
+        if not _surely_not_after(sample, own_us, newest, backward=True):
             return None
         for packet in reversed(self._packets):
-            if _surely_not_after(sample, packet, backward=False):
+            if _surely_not_after(sample, own_us, packet, backward=False):
                 return packet, newest
         return None, newest
 
@@ -164,10 +166,13 @@ def _resolution_us(sample: InertialSample) -> int:
     return CLOCK_STEP_US.get(sample.message, MILLISECOND_US)
 
 
-def _surely_not_after(sample: InertialSample, packet: Packet, backward: bool) -> bool:
-    """Was the gyro packet surely not after the reading (backward: the reading surely not after the packet)?"""
+def _surely_not_after(sample: InertialSample, own_us: int, packet: Packet, backward: bool) -> bool:
+    """Was the gyro packet surely not after the reading (backward: the reading surely not after the packet)?
+
+    own_us: resolution of the reading's device time.
+    """
     if sample.epoch == packet.epoch and sample.device_time_us is not None and packet.device_us is not None:
-        resolution = packet.resolution_us + _resolution_us(sample)
+        resolution = packet.resolution_us + own_us
         between = sample.device_time_us - packet.device_us
         return -between >= resolution if backward else between >= resolution
     if backward:

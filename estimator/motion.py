@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.compiled import compiled
+from drivers.samples import Vector3
 from estimator.frames import Box3, forward_axis, largest, left_axis, up_axis
 from estimator.interval import (
     ULP,
@@ -95,7 +96,7 @@ def variation(net: Interval, error: float, most_acceleration: float, time: float
 
 @compiled
 def rotate(
-    rate: NDArray[np.float64],
+    rate: NDArray[np.float64] | Vector3,
     bias: NDArray[np.float64],
     time_low: float,
     time_high: float,
@@ -186,13 +187,6 @@ def excursion(roll: Interval, pitch: Interval, varied: NDArray[np.float64], out:
         v0 = max(v0, 1.2 * f0)
         v1 = max(v1, 1.2 * f1)
     return False
-
-
-@compiled
-def add_effort(before: NDArray[np.int64], varied: NDArray[np.float64], after: NDArray[np.int64]) -> None:
-    """after = before + varied in whole QUANTUM, rounded up."""
-    for i in range(3):
-        after[i] = before[i] + int(np.ceil(varied[i] / QUANTUM)) + 1
 
 
 @compiled
@@ -288,6 +282,12 @@ def relative_yaw_between(
         high = max(high, up(max(before[1], after[1]) + swing[i, 2]))
         before = after
     return low, high
+
+
+@compiled
+def aged_bias(bias: Interval, drift: float, since_ns: int, now_ns: int) -> Interval:
+    """[bias] as it is now, and as it was at any time since then."""
+    return widen(bias, up(drift * up((now_ns - since_ns) * 1e-9)))
 
 
 @compiled
@@ -404,7 +404,7 @@ def travel_in_all_frames(
     time_high: float,
     turning: float,
     turning_telescoped: float,
-    bounds: TrackBounds,
+    bounds: tuple[float, ...],
     axis: NDArray[np.float64],
     first: bool,
     core: NDArray[np.float64],
@@ -415,6 +415,7 @@ def travel_in_all_frames(
     """`travel` of one step in the map, on Earth, and along its own heading: rows 0..2, 3..5, 6..8 of axis to pending.
 
     attitude [4, 2]: roll, pitch, yaw in the map, yaw on Earth. In the local frame the step stands alone.
+    `bounds` are TrackBounds as a plain tuple, which is handed over four times as fast.
     """
     core[6:] = 0.0
     rows = np.empty((3, 2))
@@ -426,7 +427,7 @@ def travel_in_all_frames(
         else:
             rows[2, 0], rows[2, 1] = local_yaw
         if not travel(
-            rows, left, right, counted, time_high, turning, turning_telescoped, bounds, axis[i : i + 3],
+            rows, left, right, counted, time_high, turning, turning_telescoped, TrackBounds(*bounds), axis[i : i + 3],
             first or frame == 2, core[i : i + 3], net[i : i + 3], swing[i : i + 3], pending[i : i + 3],
         ):  # fmt: skip
             return False

@@ -65,8 +65,8 @@ def contract_tilt(
     ahead: float,
     left: float,
     accel_error: float,
-    effort: NDArray[np.int64],
-    effort_before: NDArray[np.int64],
+    effort: tuple[int, int, int],
+    effort_before: tuple[int, int, int],
 ) -> int:
     """Contract roll and pitch of attitude [3, 2] in place by a reading from a little before; NaN: not measured.
 

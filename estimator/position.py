@@ -16,8 +16,8 @@ from estimator.config import FilterConfig, RobotConfig
 from estimator.gps_window import GpsWindow
 from estimator.inconsistency import Journal
 from estimator.interval import Interval, meet, up, widen
-from estimator.motion import QUANTUM, TrackBounds, travel_in_all_frames
-from estimator.tube import Tube
+from estimator.motion import QUANTUM, TrackBounds, aged_bias, relative_yaw_between, travel_in_all_frames
+from estimator.tube import Tube, first_not_before, hull_between, last_not_after
 
 NO_EPOCH = -1
 """Of counts that nothing may be subtracted from."""
@@ -47,7 +47,9 @@ class Step(NamedTuple):
     """Seconds, at most."""
     turning: float
     telescoped: float
-    """Variations of the yaw rate's integral, see motion.travel."""
+    """Variations of the yaw rate's integral, see motion.travel;"""
+    turned_until: int
+    """... which is this much (effort) at the gyro node after the later reading."""
 
 
 class PositionChain:
@@ -86,6 +88,8 @@ class PositionChain:
         self._core = np.zeros((9, 2))  # see motion.travel
         self._axis, self._pending = np.zeros(9), np.zeros(9)
         self._net, self._swing = np.zeros((9, 2)), np.zeros(9)
+        self._swept = np.zeros((4, 2))
+        """Attitudes of the step."""
         self._fresh_count = True
         self._turned_until = 0  # effort of the gyro node after the newest reading
 
@@ -106,7 +110,7 @@ class PositionChain:
 
     def predict(self, ticks: WheelTicks) -> Step:
         """travel: one node further, at the true time of this encoder reading."""
-        places, turns = self.tube, self._attitude.tube
+        places, turns, attitude = self.tube, self._attitude.tube, self._attitude
         step = self._step(ticks)
         if not self._go(step):
             excess = 0.5 * abs(step.left + step.right) - self.tracks.most_speed * step.time_high
@@ -114,31 +118,33 @@ class PositionChain:
             step = step._replace(counted=False)
             self._go(step)
         self._fresh_count = not step.counted
-        self._turned_until = max(self._turned_until, int(turns.effort[step.after, 2]))
+        self._turned_until = step.turned_until
         self.last_ticks = ticks
-        i = places.push(ticks.stamp.earliest_ns, ticks.stamp.latest_ns)
-        places.net[i], places.swing[i] = self._net[MAP], self._swing[:6]
-        places.local[i, :, :2], places.local[i, :, 2] = self._net[LOCAL], self._swing[LOCAL]
-        places.heading[i] = turns.heading[step.before]
-        surround(self._core, self._pending, places.box[i])
+        i, heading = places.push(ticks.stamp.earliest_ns, ticks.stamp.latest_ns), turns.heading[step.before]
+        place_node(
+            i, heading, self._net, self._swing, self._core, self._pending, places.net, places.swing, places.local,
+            places.heading, places.box,
+        )  # fmt: skip
         self.window.extend(
-            self._core[LOCAL], self._axis[LOCAL], turns.heading[step.before], self.quantum, self._attitude.bias[2],
+            self._core[LOCAL], self._axis[LOCAL], heading, self.quantum, attitude.bias[2],
             int(turns.times[turns.newest, 1]) * 1e-9,
         )  # fmt: skip
         return step
 
     def _step(self, ticks: WheelTicks) -> Step:
         """What is known of the way since the last reading."""
-        last, turns = self.last_ticks, self._attitude.tube
+        last, chain, turns = self.last_ticks, self._attitude, self._attitude.tube
         assert last is not None, "begin comes first"
-        began_ns = int(self.tube.times[self.tube.newest, 0])
+        began_ns, attitude = int(self.tube.times[self.tube.newest, 0]), self._swept
         time_high = up((ticks.stamp.latest_ns - began_ns) * 1e-9)
-        a, b = turns.before(began_ns), turns.after(ticks.stamp.latest_ns)
-        until = max(self._turned_until, int(turns.effort[b, 2]))
-        turning, telescoped = up(self._attitude.gyro.most_rate * time_high), (until - self._turned_until) * QUANTUM
+        a, b, local_yaw, turned, turned_until = swept_over(
+            turns.times, turns.box, turns.swing, turns.heading, turns.effort, turns.begin, turns.end, began_ns,
+            ticks.stamp.latest_ns, chain.bias, chain.gyro.bias_drift, attitude,
+        )  # fmt: skip
+        until = max(self._turned_until, turned_until)
+        turning, telescoped = up(chain.gyro.most_rate * time_high), (until - self._turned_until) * QUANTUM
         if a >= turns.begin:
-            attitude, local_yaw = turns.hull(a, b), self._attitude.yaw_between(a, b)
-            turning = min(turning, (turns.effort[b, 2] - turns.effort[a, 2]) * QUANTUM)
+            turning = min(turning, turned)
         else:
             self._journal.counts["attitude_history_missed"] += 1
             a, attitude, local_yaw = b, UNKNOWN_ATTITUDE, (-UNKNOWN_YAW, UNKNOWN_YAW)
@@ -146,13 +152,13 @@ class PositionChain:
         counted = ticks.epoch == last.epoch
         left = (ticks.left - last.left) * self._left_m if counted else nan
         right = (ticks.right - last.right) * self._right_m if counted else nan
-        return Step(a, b, attitude, local_yaw, left, right, counted, time_high, turning, telescoped)
+        return Step(a, b, attitude, local_yaw, left, right, counted, time_high, turning, telescoped, until)
 
     def _go(self, step: Step) -> bool:
         """Travel this step; False if the tracks ran faster than the robot can."""
         return travel_in_all_frames(
             step.attitude, step.local_yaw, step.left, step.right, step.counted, step.time_high, step.turning,
-            step.telescoped, self.tracks, self._axis, self._fresh_count, self._core, self._net, self._swing,
+            step.telescoped, tuple(self.tracks), self._axis, self._fresh_count, self._core, self._net, self._swing,
             self._pending,
         )  # fmt: skip
 
@@ -206,10 +212,59 @@ class PositionChain:
 
 
 @compiled
-def surround(core: NDArray[np.float64], pending: NDArray[np.float64], box: NDArray[np.float64]) -> None:
-    """box [6, 2]: where the newest node is; what is still to come is undone."""
-    for c in range(len(box)):
-        box[c, 0], box[c, 1] = widen((core[c, 0], core[c, 1]), pending[c])
+def swept_over(
+    times: NDArray[np.int64],
+    box: NDArray[np.float64],
+    swing: NDArray[np.float64],
+    heading: NDArray[np.float64],
+    effort: NDArray[np.int64],
+    begin: int,
+    end: int,
+    began_ns: int,
+    ended_ns: int,
+    bias: NDArray[np.float64],
+    drift: float,
+    attitude: NDArray[np.float64],
+) -> tuple[int, int, Interval, float, int]:
+    """The gyro nodes a and b around [began_ns, ended_ns], which the newest is not before; what they say of that time.
+
+    attitude [4, 2] and the yaw less that at a, over all of it; how far ω_z turned (rad), and its effort at b. Where the
+    history is too short, so that a is before `begin`, only the effort is of use.
+    """
+    a, b = last_not_after(times, begin, end, began_ns), first_not_before(times, begin, end, ended_ns)
+    if a < begin:
+        return a, b, (0.0, 0.0), 0.0, effort[b, 2]
+    hull_between(box, swing, a, b, attitude)
+    recent = aged_bias((bias[2, 0], bias[2, 1]), drift, times[a, 0], times[end - 1, 1])
+    local_yaw = relative_yaw_between(heading, swing, a, b, heading[a], recent)
+    return a, b, local_yaw, (effort[b, 2] - effort[a, 2]) * QUANTUM, effort[b, 2]
+
+
+@compiled
+def place_node(
+    i: int,
+    heading: NDArray[np.float64],
+    net: NDArray[np.float64],
+    swing: NDArray[np.float64],
+    core: NDArray[np.float64],
+    pending: NDArray[np.float64],
+    nets: NDArray[np.float64],
+    swings: NDArray[np.float64],
+    locals_: NDArray[np.float64],
+    headings: NDArray[np.float64],
+    box: NDArray[np.float64],
+) -> None:
+    """Node i of the tube, after a step along `heading` with what `travel_in_all_frames` says of it (net to pending).
+
+    Its box is the core with what is still to come undone.
+    """
+    headings[i] = heading
+    for c in range(3):
+        nets[i, c] = net[c]
+        locals_[i, c, 0], locals_[i, c, 1], locals_[i, c, 2] = net[6 + c, 0], net[6 + c, 1], swing[6 + c]
+    for c in range(6):
+        swings[i, c] = swing[c]
+        box[i, c, 0], box[i, c, 1] = widen((core[c, 0], core[c, 1]), pending[c])
 
 
 @compiled

@@ -56,6 +56,7 @@ def without_remainder(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(motion, "travel", interpreted(motion.travel))
     patch.setattr(position, "travel_in_all_frames", interpreted(motion.travel_in_all_frames))
     patch.setattr(attitude, "turn", interpreted(motion.turn))
+    patch.setattr(attitude, "turn_node", interpreted(attitude.turn_node))
 
 
 def without_slip(patch: pytest.MonkeyPatch) -> None:
