@@ -15,7 +15,7 @@ SUSPECTS = {
     "tilt": ("tilt", "gyro", "accelerometer"),
     "accelerometer": ("accelerometer", "tilt", "gyro"),
     "gyro": ("gyro", "encoders"),
-    "encoders": ("encoders",),
+    "encoders": ("encoders", "gyro"),
     "imu_clock": ("imu_clock",),
 }
 """Whose bound may be the broken one where a measurement of this sensor contradicts the set."""

@@ -4,6 +4,8 @@ The ground speeds of the tracks differ by the yaw rate times the distance of the
 2005), so over a stretch between two counts the integral of ω_z is in ((right - left) ± slip ± quanta) / [gauge].
 """
 
+from itertools import islice
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,6 +37,7 @@ from estimator.tube import hull_between
 STRETCH_NS = 400_000_000
 """Yaw is compared over at least so long: quanta and slip weigh less than in a single step."""
 LONGEST_NS = 1_500_000_000
+STUCK_PACKETS = 10
 WELL_KNOWN = 0.2
 """rad: width of the gyroscope's turn over a stretch, beyond which it had a gap."""
 
@@ -87,10 +90,18 @@ class TrackYaw:
         by_gyro = sub((0.0, 0.0), chain.yaw_between(a, a_after, b))
         if is_empty(meet(by_tracks, by_gyro)):
             gap = max(by_tracks[0] - by_gyro[1], by_gyro[0] - by_tracks[1])
-            self._journal.report("gyro", last.mid_ns, gap, "rad")
+            self._journal.report(self._likelier(by_tracks, by_gyro), last.mid_ns, gap, "rad")
         elif by_tracks[1] - by_tracks[0] < by_gyro[1] - by_gyro[0]:
             chain.narrow_yaw(a, a_after, b, by_tracks, last.mid_ns)
         return by_gyro[1] - by_gyro[0] < WELL_KNOWN
+
+    def _likelier(self, by_tracks: Interval, by_gyro: Interval) -> str:
+        """Who is to be named. A gyroscope that says the same again and again is stuck; else wheels slip oftener.
+
+        A track that slips runs further than the ground: tracks that tell of the smaller turn are right.
+        """
+        stuck = len({packet.rate for packet in islice(reversed(self._attitude.packets), STUCK_PACKETS)}) == 1
+        return "gyro" if stuck or abs(mid(by_tracks)) < abs(mid(by_gyro)) else "encoders"
 
 
 @compiled

@@ -12,7 +12,16 @@ CONFIG = load(shipped_config("demo.toml")).config
 CASES = {case.name: case for case in cases(CONFIG)}
 
 
-@pytest.mark.parametrize("name", ["GPS jumps 20 m", "tilt spike of 6 degrees, 0.2 s", "both tracks spin by 0.3 m/s"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "GPS jumps 20 m",
+        "gyroscope stuck in a turn",
+        "one track slips by 50 %",
+        "both tracks spin by 0.3 m/s",
+        "tilt spike of 6 degrees, 0.2 s",
+    ],
+)
 def test_a_broken_sensor_is_named_in_time(name: str) -> None:
     """The right one, within a second or a metre; from then on no true pose is outside."""
     case = CASES[name]

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import isnan, pi
+from math import pi
 
 import numpy as np
 import pytest
@@ -96,19 +96,6 @@ def gps_jump(metres: float) -> Meddle:
     )
 
 
-def gyro_stuck() -> Meddle:
-    """The gyro repeats what it measured first."""
-    held: list[tuple[float, float, float]] = []
-
-    def change(reading: Reading, t: float) -> Reading:
-        if isinstance(reading, InertialSample) and not isnan(reading.gyro_rps[2]):
-            held.append(reading.gyro_rps)
-            return replace(reading, gyro_rps=held[0])
-        return reading
-
-    return during(change)
-
-
 def tilt_off(degrees: float) -> Meddle:
     """Roll reads too much."""
     return during(
@@ -120,13 +107,13 @@ def tilt_off(degrees: float) -> Meddle:
     )
 
 
-def spinning_tracks(mps: float) -> Meddle:
-    """Both tracks run on the spot, beside the way they really go."""
+def spinning_tracks(mps: float, right: bool = True) -> Meddle:
+    """Both tracks (or the left one alone) run on the spot, beside the way they really go."""
     return lambda reading, t: (
         replace(
             reading,
             left=reading.left + round(mps * min(max(t - BEGIN_S, 0.0), END_S - BEGIN_S) / 0.0002),
-            right=reading.right + round(mps * min(max(t - BEGIN_S, 0.0), END_S - BEGIN_S) / 0.0002),
+            right=reading.right + right * round(mps * min(max(t - BEGIN_S, 0.0), END_S - BEGIN_S) / 0.0002),
         )
         if isinstance(reading, WheelTicks)
         else reading
@@ -161,6 +148,7 @@ FAULTS: dict[str, tuple[Meddle, str]] = {
     "GPS jumps 100 m": (gps_jump(100.0), "gps"),
     "the tilt sensor reads 10 degrees too much": (tilt_off(10.0), "tilt"),
     "the tracks slip": (spinning_tracks(0.4), "encoders"),
+    "one track slips": (spinning_tracks(0.4, right=False), "encoders"),
     "the board's clock is stuck": (clock_stuck(), "imu_clock"),
     "the board's clock steps forward": (clock_step(700_000), "imu_clock"),
     "the board's clock steps back": (clock_step(-700_000), "imu_clock"),
