@@ -31,7 +31,7 @@ demo: $(READY)
 	$(BIN)/terrabound demo
 
 test: $(READY)
-	$(BIN)/pytest
+	$(BIN)/pytest -n auto --dist loadfile
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -32,7 +32,7 @@ def test_a_robot_that_works_passes_and_a_missing_device_is_told(
             assert code == 0, text
             assert "all devices stream" in text
             assert "laser: LMS221" in text
-            assert "imu: system 1 component 1: HIGHRES_IMU 0" in text
+            assert "imu: system 1 component 1: HIGHRES_IMU" in text  # and how many packets a busy machine lost
             config.write_text(config.read_text().replace("ports/gps", "ports/none"))
             code = run_command(["check", "--config", str(config), "--seconds", "2"])
             assert code == 1
