@@ -42,6 +42,7 @@ def _page_sections() -> dict[str, str]:
 PROOF_TEXT = """## Soundness
 
 `make prove` holds every pose set and every hit of many drives against the truth: [PROVED.md](PROVED.md).
+`make prove` also holds the filter alone against the truth, over a million steps: [PROVED_POSES.md](PROVED_POSES.md).
 `make prove` also holds 20 million points against boxes and cells: [PROVED_BOXES.md](PROVED_BOXES.md).
 `make prove` also fires millions of hostile bytes at every parser: [PROVED_PARSERS.md](PROVED_PARSERS.md).
 """
