@@ -1,5 +1,6 @@
 """`terrabound check` against the emulated robot, in real time."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -32,7 +33,7 @@ def test_a_robot_that_works_passes_and_a_missing_device_is_told(
             assert code == 0, text
             assert "all devices stream" in text
             assert "laser: LMS221" in text
-            assert "imu: system 1 component 1: HIGHRES_IMU" in text  # and how many packets a busy machine lost
+            assert re.search(r"imu: system 1 component 1: HIGHRES_IMU \d+", text)  # 0 lost where nothing else runs
             config.write_text(config.read_text().replace("ports/gps", "ports/none"))
             code = run_command(["check", "--config", str(config), "--seconds", "2"])
             assert code == 1
