@@ -19,7 +19,7 @@ import numba
 F = TypeVar("F", bound=Callable[..., Any])
 
 _HOUSE = Path(__file__).resolve().parent.parent
-_IMPORT = re.compile(rb"^from ((?:drivers|estimator|mapper|simulator)[\w.]*) import (.*)$", re.MULTILINE)
+_IMPORT = re.compile(rb"^from ((?:drivers|estimator|mapper|simulator|bench)[\w.]*) import (.*)$", re.MULTILINE)
 
 
 def _sources(module: Path) -> list[Path]:

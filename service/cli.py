@@ -24,6 +24,7 @@ COMMANDS = {
     "watch": ("watch:watch", "A remote copy of a robot's map."),
     "export": ("export:export", "A saved map as another program's file."),
     "emulate": ("emulate:app", "One device, or the whole robot, on pseudo-terminals."),
+    "reproduce": ("reproduce:reproduce", "The paper's experiments, run again, with the maps it compares itself to."),
 }
 """Where each command stands under service/commands/, and its line on the page of all commands."""
 

@@ -1,0 +1,1 @@
+"""What others do with the same readings: filters and elevation maps to compare with."""

@@ -1,0 +1,65 @@
+"""What each experiment of the paper is given and gives back, and how its runs are spread over processes.
+
+An experiment is a module bench/paper/<name>.py with one entry function:
+
+    def run(output: Path, short: bool, progress: Progress) -> Outcome
+
+`output` exists. Pictures go there as `<name>_*.png`; the command writes the outcome beside them as `<name>.json` and
+`<name>.md`. `short` asks for the same in some seconds: fewer seeds, shorter drives.
+"""
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing.connection import wait
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+Task = TypeVar("Task")
+Done = TypeVar("Done")
+
+
+class Progress(Protocol):
+    """Where the experiment stands: the share of its work that is done, from 0 to 1, and what comes next."""
+
+    def __call__(self, share: float, doing: str) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What came of an experiment."""
+
+    title: str
+    report: str
+    """Markdown: tables, each with a sentence of what it shows."""
+    numbers: dict[str, Any]
+    """The same and more for machines: written as JSON."""
+    pictures: tuple[Path, ...]
+    broken: tuple[str, ...] = ()
+    """Promises of ours that did not hold, a sentence each. None, or the command fails."""
+
+
+def in_processes(function: Callable[[Task], Done], tasks: Iterable[Task]) -> Iterator[Done]:
+    """function(task) for each task, in order, in a process for each core. Ctrl-C ends it within a task's time.
+
+    `function` stands at the top of a module, and tasks and results can be pickled.
+    """
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(len(os.sched_getaffinity(0)), spawn, initializer=_end_with_parent) as pool:
+        try:
+            yield from pool.map(function, tasks)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _end_with_parent() -> None:
+    """Ctrl-C is the parent's matter; when the parent is gone, so are we."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=lambda: (wait([parent.sentinel]), os._exit(1)), daemon=True).start()
