@@ -23,10 +23,14 @@ class Status(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Guarantee:
-    """Do the bounds hold? Intact until measurements contradicted their declared errors."""
+    """Do the bounds hold? Intact until measurements contradicted their declared errors.
+
+    The newest Guarantee also tells of all that came before it: a pose or a cell is promised if `covers` says so.
+    """
 
     void_since_ns: int | None = None
-    """Host time of the first contradiction; None while intact."""
+    """Nothing that reaches this host time or a later one is promised, not even what was published before: as far back
+    as the first fault is taken to have begun (docs/faults.md). None while intact."""
     sensor: str | None = None
     """Who contradicted, as `gps` or `tilt`: the likeliest of the suspects."""
     excess: float | None = None
@@ -37,14 +41,40 @@ class Guarantee:
     """Now."""
     restored_ns: int | None = None
     """Since when the pose holds again, if the last fault was over by then (docs/faults.md); cells may be older."""
+    contradicted_ns: int | None = None
+    """Host time of the first measurement that contradicted; None while intact."""
 
     @property
     def intact(self) -> bool:
         """True while no measurement has contradicted its bound."""
         return self.void_since_ns is None
 
+    def covers(self, earliest_ns: int, latest_ns: int) -> bool:
+        """Is a pose of [earliest, latest] promised, whenever it was published?
+
+        All of it before the doubt, or after the pose was restored (the latter if that fault was over by then).
+        """
+        if self.void_since_ns is None or latest_ns < self.void_since_ns:
+            return True
+        return self.restored_ns is not None and earliest_ns >= self.restored_ns
+
 
 INTACT = Guarantee()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanarEllipsoid:
+    """At the newest encoder reading, some time in [earliest_ns, latest_ns], the true v = (x, y, yaw) satisfies
+
+    (v - centre)ᵀ shape⁻¹ (v - centre) <= 1.
+    """
+
+    earliest_ns: int
+    latest_ns: int
+    centre: NDArray[np.float64]
+    """[3] metres, metres, radians (unwrapped)."""
+    shape: NDArray[np.float64]
+    """[3, 3]"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,21 +91,8 @@ class BoundedPose:
     high: NDArray[np.float64]
     """[6]"""
     guarantee: Guarantee = INTACT
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PlanarEllipsoid:
-    """At the newest encoder reading, some time in [earliest_ns, latest_ns], the true v = (x, y, yaw) satisfies
-
-    (v - centre)ᵀ shape⁻¹ (v - centre) <= 1.
-    """
-
-    earliest_ns: int
-    latest_ns: int
-    centre: NDArray[np.float64]
-    """[3] metres, metres, radians (unwrapped)."""
-    shape: NDArray[np.float64]
-    """[3, 3]"""
+    ellipsoid: PlanarEllipsoid | None = None
+    """With `[filter] set = "ellipsoid"`: the set itself, at a time of its own; None while a fault lasts."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -38,6 +38,10 @@ class Fault(NamedTuple):
     """The likeliest of the suspects."""
     suspects: tuple[str, ...]
     """Each of these alone explains all measurements; none: it takes more than one."""
+    void_since_ns: int
+    """As far back as it may have begun: poses that reach from here to the contradiction are withdrawn."""
+    restored_ns: int | None = None
+    """When its sensor was believed again; None while it lasts."""
 
 
 class Filter:
@@ -55,7 +59,7 @@ class Filter:
         self.faults: deque[Fault] = deque(maxlen=MOST_FAULTS)
         """The newest last."""
         self.guarantee: Guarantee = INTACT
-        """Intact until measurements contradict their bounds; then void since the first of them."""
+        """Intact until measurements contradict their bounds; then void since the first fault may have begun."""
         self._start_ns = round(config.fault_start_s * 1e9)
         self._length_ns = round(config.fault_length_s * 1e9)
         self._hypotheses = [PoseSet(robot, config, encoders, imu, gps, self.counts)]
@@ -97,6 +101,7 @@ class Filter:
         assert found is not None
         left = [poses for poses in self._hypotheses if poses not in contradicted]
         first = self._until_ns is None
+        since_ns = min(self._older.settled_ns or 0, found.time_ns)
         if not left and first:
             left = self._without_each(SUSPECTS[found.sensor])
         if not left:
@@ -107,18 +112,21 @@ class Filter:
         if first:
             self.counts["faults"] += 1
         else:
-            found = self.faults.pop().contradiction
-        self.faults.append(Fault(found, likeliest(found.sensor, suspects), suspects))
+            found, since_ns = self.faults[-1].contradiction, self.faults[-1].void_since_ns
+            self.faults.pop()
+        self.faults.append(Fault(found, likeliest(found.sensor, suspects), suspects, since_ns))
         if first or not suspects:
             self._until_ns = self._now_ns + self._length_ns
         self._void(self.faults[-1])
 
     def _void(self, fault: Fault) -> None:
-        """The guarantee is void since the first fault, in the name of whom that turns out to be."""
+        """The guarantee is void since the first fault may have begun, in the name of whom that turns out to be."""
         status = Status.DEGRADED if fault.suspects else Status.LOST
         if self.counts["faults"] == 1:
             found = fault.contradiction
-            self.guarantee = Guarantee(found.time_ns, fault.sensor, found.excess, found.unit, status)
+            self.guarantee = Guarantee(
+                fault.void_since_ns, fault.sensor, found.excess, found.unit, status, contradicted_ns=found.time_ns
+            )
         else:
             self.guarantee = replace(self.guarantee, status=status, restored_ns=None)
 
@@ -146,6 +154,7 @@ class Filter:
         self._hypotheses = [poses]
         self._until_ns = None
         self.guarantee = replace(self.guarantee, status=Status.NOMINAL, restored_ns=self._now_ns)
+        self.faults.append(self.faults.pop()._replace(restored_ns=self._now_ns))
         self._checkpoint()
         self._older, self._before_newer = self._newer, []
 
@@ -220,7 +229,8 @@ class Filter:
     def latest(self) -> BoundedPose | None:
         """The newest pose there is, at the horizon."""
         now = self.horizon_ns
-        return None if now is None or now < (self.oldest_ns or 0) else self.pose_over(now, now)
+        pose = None if now is None or now < (self.oldest_ns or 0) else self.pose_over(now, now)
+        return None if pose is None else replace(pose, ellipsoid=self.ellipsoid())
 
     def ellipsoid(self, on_earth: bool = False) -> PlanarEllipsoid | None:
         """(x, y, yaw) at the newest encoder reading, with `[filter] set = "ellipsoid"`; None while a fault lasts."""

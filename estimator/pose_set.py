@@ -167,6 +167,14 @@ class PoseSet:
         return int(min(places.times[places.newest, 0], turns.times[turns.newest, 0]))
 
     @property
+    def settled_ns(self) -> int | None:
+        """Samples to come change no pose that ends before here: they contract the newest nodes alone."""
+        if not self.begun:
+            return None
+        tubes = self._position.tube, self._attitude.tube
+        return int(min(tube.times[max(tube.newest - 1, tube.begin), 0] for tube in tubes))
+
+    @property
     def oldest_ns(self) -> int | None:
         """... and that begin no earlier than here."""
         if not self.begun:

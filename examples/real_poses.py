@@ -72,9 +72,9 @@ class Followed:
     def said(self) -> str:
         """What became of the guarantee."""
         guarantee = self.filter.guarantee
-        if guarantee.void_since_ns is None:
+        if guarantee.contradicted_ns is None:
             return "the filter saw no contradiction"
-        seconds = (guarantee.void_since_ns - BEGIN_NS) * 1e-9
+        seconds = (guarantee.contradicted_ns - BEGIN_NS) * 1e-9
         return f"the filter was contradicted by {guarantee.sensor} at {seconds:.1f} s"
 
 

@@ -125,7 +125,7 @@ def _growth(axes: Any, drive: Followed) -> None:
     if drive.truth is not None:
         off = np.abs(0.5 * (drive.low + drive.high)[:, :2] - drive.truth[:, :2]).max(axis=1)
         axes.semilogy(seconds, np.maximum(off, 1e-3), color=TRUTH, linewidth=0.5, label="truth from the middle [m]")
-    since = drive.filter.guarantee.void_since_ns
+    since = drive.filter.guarantee.contradicted_ns
     if since is not None:
         moment = (since - BEGIN_NS) * 1e-9
         axes.axvline(moment, color="tab:red", label=f"contradiction ({drive.filter.guarantee.sensor})")

@@ -2,15 +2,16 @@
 
 `low`, `high` float32 [ny, nx] metres (NaN = unseen), `resolution_m`, `origin_m` (x, y of the low corner of cell
 [0, 0]), `frame` (name), `anchor` (JSON text that places the map frame on Earth; may be empty), `surely_hit` bool
-[ny, nx] (docs/surely-hit.md); and, where the map keeps evidence, `settled_low`, `settled_high` float32 [ny, nx]
-(docs/ghosts.md; NaN = not settled). Files without the last three are read too.
+[ny, nx] (docs/surely-hit.md); where the map keeps evidence, `settled_low`, `settled_high` float32 [ny, nx]
+(docs/ghosts.md; NaN = not settled); and `guarantee` (JSON text as in docs/wire.md; empty = not known). Files without
+the last four are read too.
 """
 
 import os
 import zipfile
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO
 
@@ -24,6 +25,8 @@ from mapper.tile import Tile
 _MOST_CELLS = 1 << 28
 _ENTRIES = ("low", "high", "resolution_m", "origin_m", "frame", "anchor")
 _LATER_ENTRIES = ("surely_hit", "settled_low", "settled_high")
+"""Layers, not in every file."""
+_GUARANTEE = "guarantee"
 """Not in every file."""
 
 
@@ -48,6 +51,8 @@ class SavedMap:
     settled_low: NDArray[np.float32] | None = None
     """[ny, nx] metres; NaN where not settled. None: the map keeps no evidence."""
     settled_high: NDArray[np.float32] | None = None
+    guarantee: str = ""
+    """JSON text: did the bounds hold, and if not, since when are cells in doubt? Empty: not known."""
 
 
 def assemble(tiles: Iterable[Tile], resolution_m: float, frame: str, anchor: str = "") -> SavedMap:
@@ -81,6 +86,7 @@ def assemble(tiles: Iterable[Tile], resolution_m: float, frame: str, anchor: str
 def save(saved: SavedMap, path: Path) -> None:
     """Write the file whole or not at all; the same map gives the same bytes."""
     values = [(name, getattr(saved, name)) for name in (*_ENTRIES, *_LATER_ENTRIES)]
+    values.append((_GUARANTEE, saved.guarantee or None))
 
     def write(file: IO[bytes]) -> None:
         with zipfile.ZipFile(file, "w") as archive:
@@ -104,13 +110,15 @@ def load(path: Path) -> SavedMap:
         with np.load(path, allow_pickle=False) as file:
             low, high, resolution, origin, frame, anchor = (file[name] for name in _ENTRIES)
             later = [file.get(name) for name in _LATER_ENTRIES]
+            guarantee = str(file.get(_GUARANTEE, ""))
         if not (low.ndim == 2 and low.shape == high.shape and low.dtype == high.dtype == np.float32):
             raise ValueError(f"low is {low.dtype} {list(low.shape)}, high is {high.dtype} {list(high.shape)}")
         for name, layer, kind in zip(_LATER_ENTRIES, later, (np.bool_, np.float32, np.float32), strict=True):
             if layer is not None and (layer.shape != low.shape or layer.dtype != kind):
                 raise ValueError(f"{name} is {layer.dtype} {list(layer.shape)}")
         x, y = (float(value) for value in origin)
-        return SavedMap(low, high, float(resolution), (x, y), str(frame), str(anchor), *later)
+        saved = SavedMap(low, high, float(resolution), (x, y), str(frame), str(anchor), *later)
+        return replace(saved, guarantee=guarantee)
     except FileNotFoundError:
         raise MapFileError(f"{path}: no such file") from None
     except KeyError as error:

@@ -19,9 +19,9 @@ from zenoh.handlers import RingChannel
 
 from drivers.errors import LinkError
 from estimator.bounded_pose import Anchor, BoundedPose, Guarantee
-from mapper.saved_map import assemble, save
 from mapper.tile import Tile, compile_tiles, content_crc, join
 from mapper.tile_codec import TileFormatError, decode
+from service.map_file import save_tiles
 from service.messages import (
     DigestAssembly,
     DigestPart,
@@ -34,10 +34,8 @@ from service.messages import (
     read_anchor,
     read_plain,
     read_pose,
-    write_anchor,
 )
 from service.messages import DigestEntry as Entry
-from service.publisher import MAP_FRAME
 from service.session import open_session, session_config
 from service.topics import (
     ANCHOR,
@@ -111,6 +109,7 @@ class RemoteMap:
         self._tiles: dict[TileId, Tile] = {}
         self._crcs: dict[TileId, int] = {}
         self._guarantee: Guarantee | None = None
+        self._beams_until_ns: dict[TileId, int | None] = {}
         self._stale: dict[TileId, int] = {}
         """Tiles that differed from the digest when it came, with the CRC that it listed."""
         self._listing_wanted = True
@@ -180,6 +179,14 @@ class RemoteMap:
             return "unknown"
         return "intact" if bounds.intact else f"contradicted by {bounds.sensor or 'a sensor'}"
 
+    def promised(self, place: TileId) -> bool:
+        """Is all that the copy holds of this tile from before the time since when the bounds are in doubt?"""
+        with self._changed:
+            bounds, until_ns = self._guarantee, self._beams_until_ns.get(place)
+        if bounds is None or bounds.void_since_ns is None:
+            return bounds is not None
+        return until_ns is not None and until_ns < bounds.void_since_ns
+
     @property
     def in_sync(self) -> bool:
         """Did the copy equal what the newest digest said of the robot's map?"""
@@ -244,8 +251,8 @@ class RemoteMap:
         resolution_m = tiles[0].resolution_m if tiles else self._announced_resolution_m()
         mapped_now = self.info.get("submap", max(numbers, default=0))
         anchor = self.anchor if chosen == mapped_now else self.anchors.get(chosen)
-        place = "" if anchor is None else write_anchor(anchor).decode()
-        save(assemble(tiles, resolution_m, MAP_FRAME, place), path)
+        bounds = self.bounds if chosen == mapped_now else None
+        save_tiles(tiles, resolution_m, anchor, bounds, path)
 
     def _announced_resolution_m(self) -> float:
         """Of a map without tiles."""
@@ -388,6 +395,9 @@ class RemoteMap:
 
     def _take_guarantee(self, tile: Tile, note: TileNote) -> None:
         """What a tile of the newest submap says of the bounds; earlier runs are over, and had their own."""
+        place, until_ns = TileId(tile.submap, tile.ix, tile.iy), note.beams_until_ns
+        known = self._beams_until_ns.get(place, until_ns)
+        self._beams_until_ns[place] = None if known is None or until_ns is None else max(known, until_ns)
         if tile.submap >= max((place.submap for place in self._tiles), default=0):
             self._guarantee = guarantee_from(note.guarantee)
 
@@ -403,6 +413,7 @@ class RemoteMap:
         self.counts["epochs"] += 1
         self._tiles.clear()
         self._crcs.clear()
+        self._beams_until_ns.clear()
         self.anchors.clear()
         self._stale.clear()
         self._root = None
@@ -443,6 +454,7 @@ class RemoteMap:
         own = {entry.tile: entry.crc for entry in self._entries()}
         for place in own.keys() - listed.keys():
             del self._tiles[place]
+            self._beams_until_ns.pop(place, None)
             self._crcs.pop(place, None)
             self.counts["unlisted"] += 1
         self._stale = {place: crc for place, crc in listed.items() if own.get(place) != crc}

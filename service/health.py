@@ -13,10 +13,12 @@ DEGRADED: bytes come, but no samples, or dirt among them. State is worked out wh
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from enum import StrEnum
 from typing import Any
 
 from estimator.bounded_pose import INTACT, Guarantee
+from service.messages import guarantee_message
 
 RATE_WINDOW_NS = 2_000_000_000
 """Rates are means over at least this long (and dirt this recent degrades a device)."""
@@ -111,6 +113,7 @@ class Health:
         self._pipeline: dict[str, int] = {}
         self._drops: Counter[str] = Counter()
         self._guarantee = INTACT
+        self._faults: Sequence[Mapping[str, Any]] = ()
         self._unanswered_ns: int | None = None
         """When the first sample came that the pipeline has not answered; None where it owes nothing."""
         self._answered_ns: int | None = None
@@ -182,13 +185,24 @@ class Health:
         with self._lock:
             self._drops[name] = total
 
-    def processed(self, now_ns: int, counts: Mapping[str, int] | None = None, guarantee: Guarantee = INTACT) -> None:
-        """The pipeline took all samples that had come; `counts` are its own, where it has brought them together."""
+    def processed(
+        self,
+        now_ns: int,
+        counts: Mapping[str, int] | None = None,
+        guarantee: Guarantee = INTACT,
+        faults: Sequence[Mapping[str, Any]] | None = None,
+    ) -> None:
+        """The pipeline took all samples that had come.
+
+        `counts` and `faults` (the newest last, as plain values) are its own, where it has brought them together.
+        """
         with self._lock:
             self._unanswered_ns = None
             self._answered_ns = now_ns
             if counts is not None:
                 self._pipeline = dict(counts)
+            if faults is not None:
+                self._faults = faults
             self._guarantee = guarantee
 
     def flowing(self, now_ns: int) -> bool:
@@ -220,15 +234,8 @@ class Health:
                 "time_ns": now_ns,
                 "flowing": self._flowing(now_ns),
                 "processed_ns": self._answered_ns,
-                "guarantee": {
-                    "intact": self._guarantee.intact,
-                    "void_since_ns": self._guarantee.void_since_ns,
-                    "sensor": self._guarantee.sensor,
-                    "excess": self._guarantee.excess,
-                    "unit": self._guarantee.unit,
-                    "status": self._guarantee.status.value,
-                    "restored_ns": self._guarantee.restored_ns,
-                },
+                "guarantee": asdict(guarantee_message(self._guarantee)),
+                "faults": list(self._faults),
                 "devices": {name: self._device(name, device, now_ns) for name, device in self._devices.items()},
                 "pipeline": dict(self._pipeline),
                 "troubles": dict(self._troubles),

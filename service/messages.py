@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
-from estimator.bounded_pose import Anchor, BoundedPose, Guarantee, Status
+from estimator.bounded_pose import Anchor, BoundedPose, Guarantee, PlanarEllipsoid, Status
+from estimator.filter import Fault
 
 MAX_BYTES = 1 << 18
 """Longer messages are refused unread."""
@@ -28,6 +29,7 @@ _Count = Annotated[int, Field(ge=0)]
 _Index = Annotated[int, Field(ge=-(2**31), lt=2**31)]
 _Name = Annotated[str, Field(min_length=1, max_length=64)]
 _Bounds6 = Annotated[list[float | None], Field(min_length=6, max_length=6)]
+_Numbers3 = Annotated[list[float], Field(min_length=3, max_length=3)]
 _Bounds4 = Annotated[list[float | None], Field(min_length=4, max_length=4)]
 T = TypeVar("T")
 
@@ -69,6 +71,17 @@ class GuaranteeMessage:
     unit: str | None = None
     status: str = "NOMINAL"
     restored_ns: int | None = None
+    contradicted_ns: int | None = None
+
+
+@dataclass(frozen=True, slots=True, config=_WIRE)
+class EllipsoidMessage:
+    """A PlanarEllipsoid."""
+
+    earliest_ns: int
+    latest_ns: int
+    centre: _Numbers3
+    shape: Annotated[list[_Numbers3], Field(min_length=3, max_length=3)]
 
 
 @dataclass(frozen=True, slots=True, config=_WIRE)
@@ -80,6 +93,7 @@ class PoseMessage:
     low: _Bounds6
     high: _Bounds6
     guarantee: GuaranteeMessage
+    ellipsoid: EllipsoidMessage | None = None
 
 
 @dataclass(frozen=True, slots=True, config=_WIRE)
@@ -105,6 +119,8 @@ class TileNote:
     guarantee: GuaranteeMessage
     released_ns: int | None = None
     """Monotonic clock of the robot's host when the update's last sample had been read; absent in answers."""
+    beams_until_ns: int | None = None
+    """No beam in the tile's present cells is newer; None: not known."""
 
 
 @dataclass(frozen=True, slots=True, config=_WIRE)
@@ -174,7 +190,23 @@ def guarantee_message(guarantee: Guarantee) -> GuaranteeMessage:
         guarantee.unit,
         guarantee.status.value,
         guarantee.restored_ns,
+        guarantee.contradicted_ns,
     )
+
+
+def fault_values(fault: Fault) -> dict[str, Any]:
+    """A fault as health tells it: plain values, a contradiction that no width helps without an excess."""
+    found = fault.contradiction
+    return {
+        "sensor": fault.sensor,
+        "suspects": list(fault.suspects),
+        "contradicted_by": found.sensor,
+        "contradicted_ns": found.time_ns,
+        "excess": found.excess if isfinite(found.excess) else None,
+        "unit": found.unit,
+        "void_since_ns": fault.void_since_ns,
+        "restored_ns": fault.restored_ns,
+    }
 
 
 def guarantee_from(message: GuaranteeMessage) -> Guarantee:
@@ -183,21 +215,33 @@ def guarantee_from(message: GuaranteeMessage) -> Guarantee:
         return Guarantee()
     status = Status(message.status) if message.status in Status.__members__ else Status.LOST
     return Guarantee(
-        message.void_since_ns or 0, message.sensor, message.excess, message.unit, status, message.restored_ns
+        message.void_since_ns or 0,
+        message.sensor,
+        message.excess,
+        message.unit,
+        status,
+        message.restored_ns,
+        message.contradicted_ns,
     )
 
 
 def write_pose(pose: BoundedPose) -> bytes:
     """A pose as JSON; numbers come back bit for bit."""
     bounds = _finite(pose.low), _finite(pose.high)
-    return write(PoseMessage(pose.earliest_ns, pose.latest_ns, *bounds, guarantee_message(pose.guarantee)))
+    e = pose.ellipsoid
+    ellipsoid = None if e is None else EllipsoidMessage(e.earliest_ns, e.latest_ns, e.centre.tolist(), e.shape.tolist())
+    return write(PoseMessage(pose.earliest_ns, pose.latest_ns, *bounds, guarantee_message(pose.guarantee), ellipsoid))
 
 
 def read_pose(data: bytes) -> BoundedPose:
     """A pose, or MalformedMessage."""
     message = read(PoseMessage, data)
     low, high = _bounds(message.low, message.high)
-    return BoundedPose(message.earliest_ns, message.latest_ns, low, high, guarantee_from(message.guarantee))
+    e = message.ellipsoid
+    ellipsoid = (
+        None if e is None else PlanarEllipsoid(e.earliest_ns, e.latest_ns, np.array(e.centre), np.array(e.shape))
+    )
+    return BoundedPose(message.earliest_ns, message.latest_ns, low, high, guarantee_from(message.guarantee), ellipsoid)
 
 
 def write_anchor(anchor: Anchor) -> bytes:

@@ -14,14 +14,14 @@ from typing import Any
 from drivers.capture import CaptureWriter
 from drivers.clock import Clock
 from drivers.errors import CaptureError, TerraboundError
-from estimator.bounded_pose import Anchor, BoundedPose
+from estimator.bounded_pose import Anchor, BoundedPose, Guarantee
 from mapper.tile import Tile, join
 from service.config import LoadedConfig
 from service.devices import Device, can_frames, wiring
 from service.health import Health
 from service.map_file import save_map, save_tiles
 from service.map_keeper import EarlierSubmaps, MapKeeper, Unkept
-from service.messages import TileId
+from service.messages import TileId, fault_values
 from service.pipeline import Pipeline
 from service.publisher import MAP_FRAME, MapUpdate, Publisher
 from service.reader import Reader
@@ -37,6 +37,8 @@ COUNT_PERIOD_NS = 50_000_000
 """The pipeline's counts are brought together this often."""
 GATHER_S = 0.004
 """In lockstep, where samples come faster than this: take more at a time, so that threads change places less often."""
+TOLD_FAULTS = 16
+"""Health tells of so many of the newest."""
 OFFER_PERIOD_NS = 100_000_000
 """Pose and health are offered at least this often, also when no cell changed."""
 
@@ -200,17 +202,17 @@ class Onboard:
         """Copy the map, and have a thread write it: nothing else waits for the disk. One at a time."""
         path, busy = self._map_path, self._saver is not None and self._saver.is_alive()
         if path is not None and not busy:
-            tiles, anchor = self.pipeline.map.tiles(), self.pipeline.filter.anchor
+            tiles, state = self.pipeline.map.tiles(), self.pipeline.filter
             self._saver = threading.Thread(
-                target=self._write_copy, args=(tiles, anchor, path), name="saver", daemon=True
+                target=self._write_copy, args=(tiles, state.anchor, state.guarantee, path), name="saver", daemon=True
             )
             self._saver.start()
 
-    def _write_copy(self, tiles: tuple[Tile, ...], anchor: Anchor | None, path: Path) -> None:
+    def _write_copy(self, tiles: tuple[Tile, ...], anchor: Anchor | None, guarantee: Guarantee, path: Path) -> None:
         """Save while running: a full disk is told, and mapping goes on."""
         try:
             whole = chain(tiles, self.keeper.kept())
-            save_tiles(whole, self.pipeline.map.config.resolution_m, anchor, path)
+            save_tiles(whole, self.pipeline.map.config.resolution_m, anchor, guarantee, path)
         except TerraboundError as error:
             self.health.trouble("saving", str(error))
         else:
@@ -261,7 +263,8 @@ class Onboard:
         counts |= {f"late_{name}": count for name, count in pipeline.late.items()}
         counts |= {f"map_{name}": count for name, count in (pipeline.map.counts + self._window.counts).items()}
         counts["scans_waiting"] = pipeline.waiting_scans
-        self.health.processed(now_ns, counts, pipeline.filter.guarantee)
+        faults = [fault_values(fault) for fault in list(pipeline.filter.faults)[-TOLD_FAULTS:]]
+        self.health.processed(now_ns, counts, pipeline.filter.guarantee, faults)
         for name, total in self.queue.dropped.items():
             self.health.dropped(name, total)
 
@@ -293,6 +296,7 @@ class Onboard:
                 guarantee=self.pipeline.filter.guarantee,
                 released_ns=self.pipeline.released_ns,
                 forgotten=forgotten,
+                beams_until_ns=self.pipeline.beams_until_ns,
             )
         )
 

@@ -48,6 +48,8 @@ class Pipeline:
         """scans, beams, and what was dropped, by reason."""
         self.released_ns = 0
         """When the sample that completed the newest inserted scan's poses was read (system monotonic)."""
+        self.beams_until_ns: int | None = None
+        """No beam in the map is newer; its host time."""
         self._window = ReorderingWindow(round(config.filter.reordering_window_ms * 1e6), DEVICES)
         self._waiting: deque[WaitingScan] = deque()
         self._on_pose = on_pose
@@ -100,13 +102,11 @@ class Pipeline:
             return
         result = self.map.insert(waiting.scan, low, high, times.pose_index)
         self.map.insert_contact(times.earliest_ns[0], low[0], high[0])
+        self.beams_until_ns = max(self.beams_until_ns or 0, waiting.end_ns)
         self.counts["scans"] += 1
         self.counts["beams"] += result.beams
         self.released_ns = max(received_ns, waiting.received_ns)
         if self._on_pose is not None:
+            told = self.filter.guarantee, self.filter.ellipsoid()
             for i in range(count):
-                self._on_pose(
-                    BoundedPose(
-                        int(times.earliest_ns[i]), int(times.latest_ns[i]), low[i], high[i], self.filter.guarantee
-                    )
-                )
+                self._on_pose(BoundedPose(int(times.earliest_ns[i]), int(times.latest_ns[i]), low[i], high[i], *told))

@@ -94,6 +94,8 @@ class MapUpdate:
     """Host's monotonic clock when the last sample in it had been read."""
     forgotten: tuple[TileId, ...] = ()
     """Tiles that the map has let go of since the last update: they are listed no more."""
+    beams_until_ns: int | None = None
+    """No beam in the tiles is newer."""
 
 
 class TokenBucket:
@@ -173,6 +175,8 @@ class Publisher:
         self._update: MapUpdate | None = None
         self._unsent_pose: BoundedPose | None = None
         self._guarantee = INTACT
+        self._beams_until_ns: dict[TileId, int] = {}
+        """Of the tiles that this run has sent."""
         self._anchor: bytes | None = None
         self._unsent_anchor = False
         self._health: Mapping[str, Any] | None = None
@@ -354,6 +358,8 @@ class Publisher:
         """An update has come: its tiles are next, the rest goes when it is due."""
         self._update = update
         self._map.forget(update.forgotten)
+        for place in update.forgotten:
+            self._beams_until_ns.pop(place, None)
         self._final = False
         self._tiles.extend(update.tiles)
         self._health = update.health
@@ -416,7 +422,11 @@ class Publisher:
             return
         kind, cells, version = news
         payload = encode(cells, MAP_FRAME, time.time_ns())
-        note = TileNote(self.epoch, version, guarantee_message(self._update.guarantee), self._update.released_ns)
+        place, beams_until_ns = TileId(tile.submap, tile.ix, tile.iy), self._update.beams_until_ns
+        if beams_until_ns is not None:
+            self._beams_until_ns[place] = beams_until_ns
+        guarantee = guarantee_message(self._update.guarantee)
+        note = TileNote(self.epoch, version, guarantee, self._update.released_ns, beams_until_ns)
         key = tile_key(self._robot, tile.submap, tile.ix, tile.iy, kind)
         self.counts[f"{kind}_tiles"] += 1
         self._bucket.spend(len(payload))
@@ -486,7 +496,8 @@ class Publisher:
             if place is not None and published is not None:
                 earlier = self._earlier.get(place.submap)
                 guarantee = guarantee_message(self._guarantee) if earlier is None else earlier.guarantee
-                note = write(TileNote(self.epoch, published.version, guarantee))
+                beams_until_ns = self._beams_until_ns.get(place)
+                note = write(TileNote(self.epoch, published.version, guarantee, beams_until_ns=beams_until_ns))
                 payload = encode(published.tile, MAP_FRAME, time.time_ns())
                 self._bucket.spend(len(payload))
                 key = tile_key(self._robot, *place, "full")

@@ -39,6 +39,8 @@ class Outcome:
     """Poses that the truth had left while the guarantee was intact."""
     after: int
     """Poses that the truth had left after the contradiction."""
+    false_ns: list[int]
+    """When the truth was outside, told or not."""
     statuses: set[Status]
     way_m: float
     """From the fault's beginning to the first contradiction."""
@@ -60,7 +62,7 @@ def drive(
     pose = Filter(robot, FilterConfig(fault_length_s=6.0, set=kept), encoders, imu, gps)
     start = world.pose(world.start_ns)
     c, s = np.cos(start[5]), np.sin(start[5])
-    outcome = Outcome(pose, world.start_ns + int(BEGIN_S * 1e9), 0, 0, set(), 0.0, np.inf)
+    outcome = Outcome(pose, world.start_ns + int(BEGIN_S * 1e9), 0, 0, [], set(), 0.0, np.inf)
     for k, (now_ns, readings) in enumerate(sample_stream(world, BOUND_M, Rates(steps_per_tilt=1, steps_per_fix=5))):
         for reading in readings:
             pose.accept(meddle(reading, (now_ns - world.start_ns) * 1e-9))
@@ -75,6 +77,8 @@ def drive(
         if now_ns >= outcome.begin_ns and box.guarantee.intact:
             before = world.pose(box.latest_ns - 100_000_000)
             outcome.way_m += float(np.hypot(*(true[:2] - before[:2])))
+        if out:
+            outcome.false_ns.append(box.latest_ns)
         outcome.unflagged += out and box.guarantee.intact
         outcome.after += out and not box.guarantee.intact
         outcome.statuses.add(box.guarantee.status)
@@ -174,9 +178,12 @@ def check_recovery(outcome: Outcome, sensor: str) -> None:
     """Named in time, flagged, never false from then on, restored."""
     guarantee = outcome.filter.guarantee
     assert guarantee.sensor == sensor
+    assert guarantee.contradicted_ns is not None
+    assert guarantee.contradicted_ns >= outcome.begin_ns
+    assert guarantee.contradicted_ns - outcome.begin_ns < 1_000_000_000 or outcome.way_m < 1.0
     assert guarantee.void_since_ns is not None
-    assert guarantee.void_since_ns >= outcome.begin_ns
-    assert guarantee.void_since_ns - outcome.begin_ns < 1_000_000_000 or outcome.way_m < 1.0
+    assert guarantee.void_since_ns <= outcome.begin_ns, "the doubt reaches back to before the fault"
+    assert not any(guarantee.covers(time_ns, time_ns) for time_ns in outcome.false_ns)
     assert guarantee.excess is not None
     assert guarantee.excess > 0.0
     assert outcome.unflagged == 0

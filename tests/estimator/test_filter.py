@@ -463,7 +463,7 @@ def test_a_contradiction_names_its_sensor_and_shrinks_nothing(config: FilterConf
     world.samples[wrong] = replace(fix, lat_deg=fix.lat_deg + 5.0 / 111_000.0)
     outcome = follow(world, config)
     assert outcome.filter.guarantee.sensor == "gps"
-    assert outcome.filter.guarantee.void_since_ns == fix.stamp.mid_ns
+    assert outcome.filter.guarantee.contradicted_ns == fix.stamp.mid_ns
     assert outcome.filter.counts["contradiction_gps"] == 1
     assert outcome.violations == 0
 
@@ -659,7 +659,7 @@ def test_a_reading_that_cannot_be_true_is_named_and_not_used(sensor: str, config
     world.samples[wrong] = spoil(world.samples[wrong])
     outcome = follow(world, config)
     assert outcome.filter.guarantee.sensor == sensor
-    assert outcome.filter.guarantee.void_since_ns == world.samples[wrong].stamp.mid_ns
+    assert outcome.filter.guarantee.contradicted_ns == world.samples[wrong].stamp.mid_ns
     if sensor != "imu_clock":  # a clock that jumped ahead stays wrong: all that comes after looks late
         assert outcome.violations == 0
 

@@ -71,7 +71,7 @@ def test_a_skidding_mower_contradicts_a_slip_of_five_percent(folder: Path) -> No
     config = replace(config, robot=replace(config.robot, slip_ratio=0.05))
     drive = cut(plaza(folder), 715.0)
     late = [sample for sample in drive.samples if sample.stamp.mid_ns > 571 * 10**9]
-    since = follow(replace(drive, samples=late), config).filter.guarantee.void_since_ns
+    since = follow(replace(drive, samples=late), config).filter.guarantee.contradicted_ns
     assert since is not None
     assert 705.5 < since * 1e-9 - 1.0 < 708.5
 
@@ -101,8 +101,8 @@ def test_sets_outlive_a_gap_of_the_gps_and_a_false_fix_is_told(folder: Path) -> 
     followed = follow(part, configuration("victoria_park"))
     guarantee = followed.filter.guarantee
     assert guarantee.sensor == "gps"
-    assert guarantee.void_since_ns is not None
-    assert guarantee.void_since_ns * 1e-9 - 1.0 == pytest.approx(1222.3, abs=0.5)
+    assert guarantee.contradicted_ns is not None
+    assert guarantee.contradicted_ns * 1e-9 - 1.0 == pytest.approx(1222.3, abs=0.5)
     half = 0.5 * (followed.high - followed.low)[:, :2].max(axis=1)
     assert half.max() > 100.0  # in the gap
     assert np.median(half) < 60.0

@@ -3,6 +3,7 @@
 import struct
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +56,14 @@ def test_a_saved_map_comes_back_and_equal_maps_are_equal_files(tmp_path: Path) -
     assert back.anchor == '{"origin_lat_deg": 48.0}'
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.npz", "b.npz"]
+
+
+def test_what_is_known_of_the_bounds_comes_back(tmp_path: Path) -> None:
+    """The guarantee at the time of saving stands in the file, and goes on to whatever is made of it."""
+    save(replace(a_map(), guarantee='{"intact": false}'), tmp_path / "a.npz")
+    assert load(tmp_path / "a.npz").guarantee == '{"intact": false}'
+    save(a_map(), tmp_path / "b.npz")
+    assert load(tmp_path / "b.npz").guarantee == ""
 
 
 def test_numpy_alone_reads_it(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """The remote copy: real sessions on loopback TCP, lost messages, cut links, restarts, second processes."""
 
+import json
 import os
 import select
 import signal
@@ -350,6 +351,36 @@ def test_a_guarantee_that_broke_is_seen_remotely() -> None:
         assert remote.guarantee == "contradicted by gps"
         assert remote.anchor is not None
         assert remote.anchor.guarantee == void
+
+
+def _whole_tile(place: TileId) -> Tile:
+    """A tile all of whose cells are seen."""
+    low = np.zeros((64, 64), np.float32)
+    return Tile(*place, 0.05, low, low + np.float32(0.1), np.zeros((64, 64), np.bool_))
+
+
+def test_a_copy_tells_which_of_its_tiles_are_older_than_the_doubt(tmp_path: Path) -> None:
+    """A fault takes back what was published since it may have begun; tiles whose beams are older stay promised."""
+    old, new = TileId(0, 0, 0), TileId(0, 3, 0)
+    void = Guarantee(void_since_ns=100, sensor="gps", contradicted_ns=140)
+    address = free_address()
+    with publishing(address) as publisher, RemoteMap(address) as remote:
+        publisher.offer(MapUpdate((_whole_tile(old),), None, None, {}, Guarantee(), 1, (), 99))
+        assert publisher.flush(WAIT_S)
+        assert remote.wait_in_sync(WAIT_S, final=True)
+        assert remote.promised(old)
+        publisher.offer(MapUpdate((_whole_tile(new),), None, None, {}, void, 1, (), 120))
+        assert publisher.flush(WAIT_S)
+        assert remote.wait_in_sync(WAIT_S, final=True)
+        with remote._changed:
+            assert remote._changed.wait_for(lambda: remote._guarantee == void, WAIT_S)
+        assert remote.promised(old)
+        assert not remote.promised(new)
+        remote.save(tmp_path / "copy.npz")
+    with RemoteMap(address) as nobody:
+        assert not nobody.promised(old)
+    told = json.loads(load(tmp_path / "copy.npz").guarantee)
+    assert (told["intact"], told["void_since_ns"], told["contradicted_ns"]) == (False, 100, 140)
 
 
 def test_another_robot_at_the_same_address_is_not_mixed_in() -> None:

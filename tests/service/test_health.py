@@ -107,7 +107,7 @@ def test_a_robot_whose_sensors_are_gone_is_not_restarted() -> None:
 def test_a_snapshot_is_json_and_tells_of_a_broken_guarantee() -> None:
     """Everything published survives JSON; a contradiction names its sensor and its time."""
     health = watched(Counter(bad_crc=2))
-    void = Guarantee(12, "gps", 1.9, "m", Status.DEGRADED)
+    void = Guarantee(12, "gps", 1.9, "m", Status.DEGRADED, contradicted_ns=15)
     health.processed(S, Counter(scans=7), void)
     health.dropped("encoders", 4)
     snapshot = json.loads(json.dumps(health.snapshot(S)))
@@ -119,6 +119,7 @@ def test_a_snapshot_is_json_and_tells_of_a_broken_guarantee() -> None:
         "unit": "m",
         "status": "DEGRADED",
         "restored_ns": None,
+        "contradicted_ns": 15,
     }
     assert snapshot["pipeline"] == {"scans": 7}
     assert snapshot["devices"]["encoders"]["dropped"] == 4

@@ -1,14 +1,16 @@
 """JSON messages: what is written is read, and nothing else is."""
 
 import json
+from dataclasses import replace
 from random import Random
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.bounded_pose import Anchor, BoundedPose, Guarantee
+from estimator.bounded_pose import Anchor, BoundedPose, Guarantee, PlanarEllipsoid
 from service.messages import (
     DIGEST_PART_TILES,
     DigestAssembly,
@@ -30,7 +32,10 @@ from service.messages import (
 
 times = st.integers(-(2**62), 2**62)
 numbers = st.floats(allow_nan=False, allow_infinity=False)
-guarantees = st.one_of(st.just(Guarantee()), st.builds(Guarantee, times, st.sampled_from(["gps", "tilt"])))
+guarantees = st.one_of(
+    st.just(Guarantee()),
+    st.builds(Guarantee, times, st.sampled_from(["gps", "tilt"]), restored_ns=times, contradicted_ns=times),
+)
 
 
 def bounds(size: int) -> st.SearchStrategy[tuple[list[float], list[float]]]:
@@ -53,6 +58,42 @@ def test_a_pose_comes_back_bit_for_bit(
     outward = np.where(np.isfinite(pose.low), pose.low, -np.inf), np.where(np.isfinite(pose.high), pose.high, np.inf)
     assert back.low.tolist() == outward[0].tolist()
     assert back.high.tolist() == outward[1].tolist()
+
+
+@given(st.lists(numbers, min_size=12, max_size=12))
+def test_a_pose_kept_as_an_ellipsoid_brings_it_along(values: list[float]) -> None:
+    """Centre, shape and their own time survive bit for bit; who knows nothing of ellipsoids reads the box alone."""
+    ellipsoid = PlanarEllipsoid(3, 4, np.array(values[:3]), np.array(values[3:]).reshape(3, 3))
+    text = write_pose(BoundedPose(1, 2, np.zeros(6), np.ones(6), ellipsoid=ellipsoid))
+    back = read_pose(text).ellipsoid
+    assert back is not None
+    assert (back.earliest_ns, back.latest_ns) == (3, 4)
+    assert back.centre.tolist() == ellipsoid.centre.tolist()
+    assert back.shape.tolist() == ellipsoid.shape.tolist()
+    earlier = {key: value for key, value in json.loads(text).items() if key != "ellipsoid"}
+    assert read_pose(json.dumps(earlier).encode()).ellipsoid is None
+
+
+@pytest.mark.parametrize("broken", [{"centre": [0.0, 0.0]}, {"shape": [[1.0] * 3] * 2}, {"shape": None}, {}])
+def test_half_an_ellipsoid_is_refused(broken: dict[str, Any]) -> None:
+    """A pose whose ellipsoid lacks something is malformed, not read without it."""
+    whole = json.loads(write_pose(BoundedPose(1, 2, np.zeros(6), np.ones(6))))
+    ellipsoid = {"earliest_ns": 3, "latest_ns": 4, "centre": [0.0] * 3, "shape": [[1.0] * 3] * 3}
+    whole["ellipsoid"] = ellipsoid | broken if broken else {"centre": [0.0] * 3}
+    with pytest.raises(MalformedMessage):
+        read_pose(json.dumps(whole).encode())
+
+
+def test_the_newest_guarantee_judges_what_was_published_before() -> None:
+    """What reaches into the doubt is taken back, also if it was called intact; what came before, or after, is not."""
+    lasting = Guarantee(void_since_ns=100, sensor="gps", contradicted_ns=140)
+    assert lasting.covers(80, 99)
+    assert not lasting.covers(80, 100)
+    assert not lasting.covers(900, 901)
+    over = replace(lasting, restored_ns=300)
+    assert over.covers(300, 310)
+    assert not over.covers(290, 310)
+    assert Guarantee().covers(0, 10**18)
 
 
 @given(numbers, numbers, numbers, bounds(4), guarantees)

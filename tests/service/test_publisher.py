@@ -50,10 +50,12 @@ def tile(ix: int = 0, iy: int = 0, seed: int = 0, share: float = 0.5, submap: in
     return Tile(submap, ix, iy, 0.05, low, high)
 
 
-def update(*tiles: Tile, guarantee: Guarantee = INTACT, released_ns: int = 1) -> MapUpdate:
+def update(
+    *tiles: Tile, guarantee: Guarantee = INTACT, released_ns: int = 1, beams_until_ns: int | None = None
+) -> MapUpdate:
     pose = BoundedPose(10, 20, np.arange(6.0), np.arange(6.0) + 0.1, guarantee)
     anchor = Anchor(47.0, 8.0, 400.0, np.zeros(4), np.array([1.0, 1.0, 2.0, np.inf]), guarantee)
-    return MapUpdate(tiles, pose, anchor, {"devices": {"gps": "LOST"}}, guarantee, released_ns)
+    return MapUpdate(tiles, pose, anchor, {"devices": {"gps": "LOST"}}, guarantee, released_ns, (), beams_until_ns)
 
 
 @contextmanager
@@ -165,7 +167,7 @@ def test_every_message_may_be_dropped_and_tells_how_to_read_it() -> None:
     """Nothing blocks the sender; encodings stand on every message; a tile carries its note."""
     void = Guarantee(void_since_ns=77, sensor="gps")
     with publishing() as (publisher, address), listening(address) as ear:
-        publisher.offer(update(tile(), guarantee=void, released_ns=12345))
+        publisher.offer(update(tile(), guarantee=void, released_ns=12345, beams_until_ns=76))
         sample = ear.wait("map/0/0/0/full")[0]
         for topic in ("pose", "anchor", "health", "info", "digest"):
             assert str(ear.wait(topic)[0].encoding) == "application/json"
@@ -174,6 +176,7 @@ def test_every_message_may_be_dropped_and_tells_how_to_read_it() -> None:
     note = note_of(sample)
     assert (note.epoch, note.version, note.released_ns) == (publisher.epoch, 1, 12345)
     assert guarantee_from(note.guarantee) == void
+    assert note.beams_until_ns == 76
 
 
 def test_pose_anchor_health_and_info_arrive_as_they_were_offered() -> None:
