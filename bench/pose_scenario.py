@@ -9,6 +9,7 @@ from service.robot_model import robot_model
 from service.shipped import shipped_config
 from simulator.errors import ErrorLaw
 from simulator.open_ground import open_ground
+from simulator.robot import GRAVITY_MPS2, rotations
 from simulator.world import World
 
 START_NS = 1_000_000_000_000
@@ -37,8 +38,9 @@ IMU = ImuConfig(
     tilt_bound_deg=1.0,
     accel_bound_mps2=0.037,  # with the robot's own acceleration: 0.07 g
 )
-FILTER = FilterConfig(standstill_s=None)
-"""The reference's filter doesn't use standstill."""
+FILTER = FilterConfig()
+"""As shipped; like the reference's (SMF 6.3) it learns the gyroscope's bias where the robot stands."""
+NEVER_STILL = FilterConfig(standstill_s=None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +82,10 @@ def devices(gps: GpsClass) -> DevicesConfig:
 
 
 def reference_world(gps: GpsClass, law: str, seed: int, seconds: float) -> World:
-    """One drive."""
+    """One drive. What an accelerometer feels beside gravity is drawn as the reference draws it: all of 0.07 g."""
     slope_deg = (5.0, 7.0, 9.0)[seed % 3]
-    ground = open_ground(seed, slope_deg, seconds)
-    return World(ground, robot_model(ROBOT), devices(gps), ErrorLaw(law, seed), START_NS, seconds)
+    ground, declared = open_ground(seed, slope_deg, seconds), devices(gps)
+    felt = replace(declared.imu, accel_bound_mps2=IMU.accel_bound_mps2 + ROBOT.max_acceleration_mps2)
+    world = World(ground, robot_model(ROBOT), replace(declared, imu=felt), ErrorLaw(law, seed), START_NS, seconds)
+    world.drive = replace(world.drive, specific_force=GRAVITY_MPS2 * rotations(world.drive.pose)[:, 2, :])
+    return world

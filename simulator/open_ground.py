@@ -14,9 +14,12 @@ HOME_RADIUS_M = 40.0
 CELL_M = 0.25
 HILLS = ((9.0, 1.0), (3.0, 0.16))
 """(wavelength m, share of the height)."""
-CRUISE_MPS = 0.9
-RAMP_S = 3.0
+FASTEST_MPS, SLOWEST_MPS = 1.0, 0.4
+RAMP_S = 3.3
 """Gentle: the accelerometers are declared to feel no more than 0.07 g beside gravity."""
+STOP_S = 4.0
+RESTS_S = 3.0
+"""The robot stands for so long in all before and after its manoeuvres (robot.motion_profile)."""
 
 
 def open_ground(seed: int, rms_slope_deg: float = 5.0, duration_s: float = 600.0) -> Terrain:
@@ -32,7 +35,7 @@ def open_ground(seed: int, rms_slope_deg: float = 5.0, duration_s: float = 600.0
         circle_radius_m=1.0,
         weave_rad=0.15,
         weave_length_m=7.0,
-        cruise_mps=CRUISE_MPS,
+        cruise_mps=FASTEST_MPS,
         manoeuvres=tuple(_wander(random, heading, duration_s)),
         manoeuvre_ramp_s=RAMP_S,
         reach_m=HALF_SIDE_M - 1.0,
@@ -53,23 +56,31 @@ def _hills(random: np.random.Generator, rms_slope: float) -> NDArray[np.float64]
 
 
 def _wander(random: np.random.Generator, heading: float, duration_s: float) -> Iterator[Manoeuvre]:
-    """Forward, stop, spin, now and then reverse; home again when too far out (planned as if on a plane)."""
+    """Legs of 0.4 to 1 m/s; between them a spin, a stop or a short way back (planned as if on a plane).
+
+    Home again, by a spin, when too far out. The last move ends with the drive, gently.
+    """
     x = y = elapsed = 0.0
-    while elapsed < duration_s:
-        far = hypot(x, y) > HOME_RADIUS_M
-        aim = remainder(atan2(-y, -x) - heading, 2 * pi) if far else float(random.uniform(-2.2, 2.2))
-        if not far and random.random() < 0.15:
-            drive = Manoeuvre(float(random.uniform(7.0, 10.0)), speed=-float(random.uniform(0.45, 0.8)))
+    while elapsed < duration_s - RESTS_S:
+        speed, lasts_s = float(random.uniform(SLOWEST_MPS, FASTEST_MPS)), float(random.uniform(8.0, 30.0))
+        chance, aim = random.random(), float(random.uniform(-2.2, 2.2))
+        if hypot(x, y) > HOME_RADIUS_M:
+            chance, aim = 0.0, remainder(atan2(-y, -x) - heading, 2 * pi)
+        if chance < 0.6:
+            spin_s = max(abs(aim) / 0.5, RAMP_S) + RAMP_S
+            between = Manoeuvre(spin_s, spin_rps=aim / (spin_s - RAMP_S))
+            heading += aim
+        elif chance < 0.8:
+            between = Manoeuvre(STOP_S)
         else:
-            drive = Manoeuvre(float(random.uniform(8.0, 30.0)), speed=float(random.uniform(0.45, 1.0)))
-        spin_s = max(abs(aim) / 0.5, RAMP_S) + RAMP_S
-        moves = (Manoeuvre(spin_s, spin_rps=aim / (spin_s - RAMP_S)), drive)
-        for move in moves:
+            between = Manoeuvre(0.4 * lasts_s + RAMP_S, speed=-0.8 * speed / FASTEST_MPS)
+        for move in (between, Manoeuvre(lasts_s, speed=speed / FASTEST_MPS)):
+            left_s = duration_s - RESTS_S - elapsed
+            if left_s < move.duration_s:
+                slower = min(left_s / (2.0 * RAMP_S), 1.0)
+                yield Manoeuvre(left_s, slower * move.speed, slower * move.spin_rps)
+                return
             yield move
             elapsed += move.duration_s
-        heading += aim
-        way = CRUISE_MPS * drive.speed * (drive.duration_s - RAMP_S)
-        x, y = x + way * cos(heading), y + way * sin(heading)
-        if random.random() < 0.2:
-            yield Manoeuvre(4.0)
-            elapsed += 4.0
+            way = FASTEST_MPS * move.speed * (move.duration_s - RAMP_S)
+            x, y = x + way * cos(heading), y + way * sin(heading)

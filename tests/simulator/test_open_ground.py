@@ -11,8 +11,8 @@ MODEL = RobotModel(max_speed_mps=1.2, max_acceleration_mps2=0.65, max_turn_accel
 
 def test_the_drive_wanders_stops_spins_and_reverses_within_the_robots_limits() -> None:
     """Both directions, spins in place, standstill, tilted ground, and never off the ground."""
-    ground = open_ground(3, rms_slope_deg=9.0, duration_s=70.0)
-    drive = plan_drive(MODEL, ground, ErrorLaw("mixed", 3), 70.0)
+    ground = open_ground(6, rms_slope_deg=9.0, duration_s=70.0)
+    drive = plan_drive(MODEL, ground, ErrorLaw("mixed", 6), 70.0)
     assert exceeded_limits(MODEL, drive) == []
     assert np.abs(drive.pose[:, :2]).max() < HALF_SIDE_M - 1.0
     spinning = (np.abs(drive.speed) < 1e-3) & (np.abs(drive.rate[:, 2]) > 0.2)
