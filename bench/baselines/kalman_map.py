@@ -1,0 +1,156 @@
+"""The gated Kalman map in the plane (Kleiner and Dornhege; BASELINES 4): an elevation and its variance for every cell.
+
+A point's elevation, with the variance P_zz, corrects the one cell that the point's mean lies in. Within the gate the
+two are fused; beyond it a higher point replaces the cell's elevation and a lower one is passed over (equation 10).
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.baselines.gaussian_points import (
+    N_CENTRE,
+    N_P,
+    N_SIZE,
+    Q_SIZE,
+    THREE_SIGMA,
+    W_GAUSS,
+    point_block,
+    prepare_gaussian,
+)
+from bench.baselines.tiled_layers import TiledLayers
+from drivers.compiled import compiled, compiled_unlocked
+from drivers.config import LaserConfig
+from drivers.samples import Scan
+from mapper import kernel
+from mapper.grid import CELL_LIMIT, TILE_SHIFT, TILE_SIDE, tile_key
+from mapper.projection import LANES, beam_table, laser_geometry, run_length, usable_range
+
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+Indices = NDArray[np.int32]
+
+GATE = 3.0
+_HEIGHT, _VARIANCE, _TRAVELLED = range(3)
+_IN_TILE = TILE_SIDE - 1
+
+
+@compiled
+def fuse(cell: Singles, at: int, z: float, variance: float, travelled_m: float, growth: float, planes: int) -> None:
+    """Equation 10 on the cell `at`; `growth` m^2 of variance per metre travelled since the cell was last corrected."""
+    h, v = float(cell[_HEIGHT, at]), float(cell[_VARIANCE, at])
+    if planes > _TRAVELLED:
+        v += growth * (travelled_m - float(cell[_TRAVELLED, at]))
+        cell[_TRAVELLED, at] = np.float32(travelled_m)
+    off, total = z - h, variance + v
+    if not v >= 0.0 or (off > 0.0 and off * off >= GATE * GATE * total):  # NaN: nothing yet
+        h, v = z, variance
+    elif off * off < GATE * GATE * total:
+        h, v = (variance * h + v * z) / total, variance * v / total
+    cell[_HEIGHT, at], cell[_VARIANCE, at] = np.float32(h), np.float32(v)
+
+
+@compiled_unlocked
+def fuse_beams(
+    ranges: Floats,
+    directions: Floats,
+    pose_index: Indices,
+    means: Floats,
+    covariances: Floats,
+    geometry: Floats,
+    bound_sigmas: float,
+    resolution_m: float,
+    travelled_m: float,
+    growth: float,
+    poses: Floats,
+    work: Floats,
+    points: Floats,
+    numbers: NDArray[np.int64],
+    table: Indices,
+    keys: NDArray[np.uint64],
+    pool: Singles,
+) -> None:
+    """One scan into the map."""
+    for m in range(means.shape[0]):
+        prepare_gaussian(means[m], covariances[m], geometry, bound_sigmas, work, poses[m])
+    inverse, limit = 1.0 / resolution_m, float(CELL_LIMIT)
+    last_key, last_tile = np.uint64(0), np.int64(-1)
+    first = 0
+    while first < ranges.size:
+        m, count = pose_index[first], run_length(first, pose_index)
+        if m < 0 or m >= means.shape[0]:
+            numbers[kernel.NO_POSE] += count
+        else:
+            point_block(poses[m], geometry, first, count, ranges, directions[0], directions[1], points)
+            for n in range(count):
+                x, y = points[N_CENTRE + n] * inverse, points[N_CENTRE + LANES + n] * inverse
+                if not usable_range(ranges[first + n], geometry):
+                    numbers[kernel.NO_RANGE] += 1
+                elif not (abs(x) < limit and abs(y) < limit):
+                    numbers[kernel.TOO_FAR] += 1
+                else:
+                    i, j = int(np.floor(x)), int(np.floor(y))
+                    key = tile_key(i >> TILE_SHIFT, j >> TILE_SHIFT)
+                    tile = last_tile
+                    if last_tile < 0 or key != last_key:
+                        tile = kernel.tile_at(key, numbers, table, keys)
+                    if tile < 0:
+                        numbers[kernel.BEYOND_CAP] += 1
+                    else:
+                        last_key, last_tile = key, tile
+                        z, variance = points[N_CENTRE + 2 * LANES + n], points[N_P + 5 * LANES + n]
+                        at = (j & _IN_TILE) * TILE_SIDE + (i & _IN_TILE)
+                        fuse(pool[tile], at, z, variance, travelled_m, growth, pool.shape[1])
+                        numbers[kernel.USED] += 1
+        first += count
+
+
+class KalmanMap:
+    """Elevation and variance for every cell, and where asked for, how far the robot had gone when it was corrected."""
+
+    def __init__(
+        self,
+        resolution_m: float,
+        laser: LaserConfig,
+        bound_sigmas: float = THREE_SIGMA,
+        growth_m2_per_m: float = 0.0,
+        tiles: int = 128,
+    ) -> None:
+        """`growth_m2_per_m`: what odometry adds to a cell's variance per metre travelled; 0 leaves it out."""
+        self.resolution_m = resolution_m
+        self.layers = TiledLayers(3 if growth_m2_per_m > 0.0 else 2, np.nan, tiles)
+        self.travelled_m = 0.0
+        self._bound_sigmas, self._growth = bound_sigmas, growth_m2_per_m
+        self._geometry = laser_geometry(laser)
+        self._beam_angles = (0, 0.0, 0.0)
+        self._directions = np.empty((2, 0))
+        self._poses, self._work = np.empty((64, Q_SIZE)), np.empty((W_GAUSS, 6))
+        self._points = np.zeros(N_SIZE)
+
+    @property
+    def bytes_a_cell(self) -> int:
+        """8, or 12 where the variance grows with the distance travelled."""
+        return 4 * self.layers.planes
+
+    def insert(self, scan: Scan, mean: Floats, covariance: Floats, pose_index: Indices) -> None:
+        """Take a scan in whose beam i was shot from N(mean, covariance)[pose_index[i]]; set `travelled_m` before."""
+        angles = (scan.ranges_m.size, scan.angle_min_rad, scan.angle_increment_rad)
+        if angles != self._beam_angles:
+            self._directions = np.empty((2, angles[0]))
+            beam_table(scan.angle_min_rad, scan.angle_increment_rad, *self._directions)
+            self._beam_angles = angles
+        layers = self.layers
+        # fmt: off
+        fuse_beams(
+            scan.ranges_m, self._directions, pose_index, mean, covariance,
+            self._geometry, self._bound_sigmas, self.resolution_m, self.travelled_m, self._growth,
+            self._poses, self._work, self._points, layers.numbers, layers.table, layers.keys, layers.pool,
+        )
+        # fmt: on
+
+    def estimate(self) -> tuple[Floats, Floats, tuple[int, int]]:
+        """Elevation and standard deviation [ny, nx] (NaN where nothing was seen), number of the first cell."""
+        layers, first = self.layers.dense()
+        height, variance = layers[:2].astype(np.float64)
+        if self._growth > 0.0:
+            variance = variance + self._growth * (self.travelled_m - layers[_TRAVELLED])
+        return height, np.sqrt(variance), first

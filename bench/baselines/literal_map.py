@@ -1,0 +1,163 @@
+"""The paper's set-valued map as written: its boxes (literal_boxes.py) into the cells of our own map.
+
+Cells, tiles, association and the hull are the map's own code, so that what differs is the box alone.
+"""
+
+from math import radians
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.baselines.literal_boxes import (
+    I_SIZE,
+    cosine_bounds,
+    first_order_block,
+    first_order_pose,
+    natural_block,
+    prepare_intervals,
+)
+from bench.baselines.tiled_layers import TiledLayers
+from drivers.compiled import compiled, compiled_unlocked
+from drivers.config import LaserConfig
+from drivers.samples import Scan
+from mapper import kernel
+from mapper.grid import TILE_SIDE
+from mapper.projection import (
+    B_SIZE,
+    G_SCAN_BOUND,
+    LANES,
+    P_SIZE,
+    W_ROWS,
+    beam_table,
+    laser_geometry,
+    prepare_pose,
+    run_length,
+)
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int32]
+
+
+@compiled
+def interval_table(angle_min_rad: float, angle_increment_rad: float, bound_rad: float, out: Floats) -> None:
+    """[4, n] bounds of the cosine, then of the sine, of each beam's angle."""
+    quarter = 0.5 * np.pi
+    for i in range(out.shape[1]):
+        low, high = angle_min_rad + i * angle_increment_rad - bound_rad, angle_min_rad + i * angle_increment_rad
+        high += bound_rad
+        out[0, i], out[1, i] = cosine_bounds(low, high)
+        out[2, i], out[3, i] = cosine_bounds(low - quarter, high - quarter)
+
+
+@compiled_unlocked
+def insert_literally(
+    natural: bool,
+    ranges: Floats,
+    directions: Floats,
+    pose_index: Indices,
+    pose_low: Floats,
+    pose_high: Floats,
+    geometry: Floats,
+    mount: Floats,
+    resolution_m: float,
+    max_footprint_m: float,
+    poses: Floats,
+    matrices: Floats,
+    work: Floats,
+    block: Floats,
+    spans: Indices,
+    heights: NDArray[np.float32],
+    numbers: NDArray[np.int64],
+    table: Indices,
+    keys: NDArray[np.uint64],
+    dirty: NDArray[np.bool_],
+    pool: NDArray[np.float32],
+    sure: NDArray[np.uint64],
+) -> None:
+    """One scan into the map."""
+    for m in range(pose_low.shape[0]):
+        if natural:
+            prepare_intervals(pose_low[m], pose_high[m], geometry, mount, matrices, poses[m])
+        else:
+            prepare_pose(pose_low[m], pose_high[m], geometry, work, poses[m])
+            first_order_pose(pose_low[m], pose_high[m], geometry, work, poses[m])
+    n = 0
+    while n < ranges.size:
+        m, count = pose_index[n], run_length(n, pose_index)
+        if m < 0 or m >= pose_low.shape[0]:
+            numbers[kernel.NO_POSE] += count
+        else:
+            if natural:
+                natural_block(poses[m], geometry, n, count, ranges, directions, block)
+            else:
+                first_order_block(poses[m], geometry, n, count, ranges, directions[0], directions[1], block)
+            kernel.locate_block(n, count, ranges, geometry, 1.0 / resolution_m, max_footprint_m, block, spans, heights)
+            kernel.touch_block(count, 0, True, spans, heights, numbers, table, keys, dirty, pool, sure)
+        n += count
+
+
+class LiteralMap:
+    """Intervals of elevation, from boxes that are the paper's."""
+
+    bytes_a_cell = 8
+
+    def __init__(
+        self,
+        resolution_m: float,
+        laser: LaserConfig,
+        form: Literal["natural", "first order"],
+        max_footprint_m: float = 3.0,
+        tiles: int = 128,
+    ) -> None:
+        self.resolution_m = resolution_m
+        self.layers = TiledLayers(2, -np.inf, tiles)
+        self._natural = form == "natural"
+        self._geometry = laser_geometry(laser)
+        self._mount = np.array(
+            [radians(laser.mount_roll_deg), -radians(laser.mount_pitch_deg), radians(laser.mount_yaw_deg)]
+        )
+        self._max_footprint_m = max_footprint_m
+        self._beam_angles = (0, 0.0, 0.0)
+        self._directions = np.empty((4, 0))
+        self._poses = np.empty((64, max(P_SIZE, I_SIZE)))
+        self._matrices, self._work = np.empty((5, 3, 3, 2)), np.empty((W_ROWS, 4))
+        self._block = np.zeros(B_SIZE)
+        self._spans, self._heights = np.zeros(kernel.S_SIZE, np.int32), np.zeros(2 * LANES, np.float32)
+        self._dirty, self._sure = np.zeros(tiles, np.bool_), np.zeros((tiles, TILE_SIDE), np.uint64)
+        # The hull's own layout: (-low, high) of a cell side by side, in one plane.
+        self._pool = self.layers.pool.reshape(tiles, 1, kernel.TILE_FLOATS)
+
+    def insert(self, scan: Scan, low: Floats, high: Floats, pose_index: Indices) -> None:
+        """Take a scan in whose beam i was shot from the pose box [low, high][pose_index[i]]."""
+        angles = (scan.ranges_m.size, scan.angle_min_rad, scan.angle_increment_rad)
+        if angles != self._beam_angles:
+            self._directions = np.empty((4, angles[0]))
+            if self._natural:
+                bound = float(self._geometry[G_SCAN_BOUND])
+                interval_table(scan.angle_min_rad, scan.angle_increment_rad, bound, self._directions)
+            else:
+                beam_table(scan.angle_min_rad, scan.angle_increment_rad, *self._directions[:2])
+            self._beam_angles = angles
+        layers = self.layers
+        # fmt: off
+        insert_literally(
+            self._natural, scan.ranges_m, self._directions, pose_index, low, high,
+            self._geometry, self._mount, self.resolution_m, self._max_footprint_m,
+            self._poses, self._matrices, self._work, self._block, self._spans, self._heights,
+            layers.numbers, layers.table, layers.keys, self._dirty, self._pool, self._sure,
+        )
+        # fmt: on
+
+    def bounds(self) -> tuple[Floats, Floats, tuple[int, int]]:
+        """Low and high [ny, nx] (NaN where nothing was seen), number of the first cell."""
+        used = int(self.layers.numbers[kernel.N_TILES])
+        # Seen as two planes of one number each, the interleaved lanes must be parted again.
+        interleaved = self.layers.pool[:used].reshape(used, -1, 2)
+        parted = np.ascontiguousarray(interleaved.transpose(0, 2, 1))
+        twin = TiledLayers(2, -np.inf, max(used, 1))
+        twin.pool[:used], twin.keys[:used] = parted, self.layers.keys[:used]
+        twin.numbers[kernel.N_TILES] = used
+        (negative, high), first = twin.dense()
+        seen = high > -np.inf
+        return np.where(seen, -negative, np.nan).astype(float), np.where(seen, high, np.nan).astype(float), first
