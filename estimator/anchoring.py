@@ -22,7 +22,7 @@ REMEMBER_EVERY_M = 0.4
 STANDING_FIXES = 8
 
 
-class _Narrowed(NamedTuple):
+class Narrowed(NamedTuple):
     """A copy of what a fix may narrow."""
 
     box: NDArray[np.float64]
@@ -72,8 +72,8 @@ class Anchoring:
         antenna, offset = self._plane.antenna(fix), self._offset(i, j, a, b)
         in_map = self._offset_in_map(i, j, a, b)
 
-        def narrowed(wider: float) -> _Narrowed | None:
-            now = _Narrowed(
+        def narrowed(wider: float) -> Narrowed | None:
+            now = Narrowed(
                 places.box[n].copy(), turns.box[turns.newest, 2:].copy(), self._anchor.copy(), self._points.copy(),
                 antenna + np.array([-wider, wider]),
             )  # fmt: skip
@@ -111,7 +111,7 @@ class Anchoring:
         since = travelled_since(places.net, places.swing, i, j, places.newest)
         return _outward(arm[:, 0] - since[:, 1], arm[:, 1] - since[:, 0])
 
-    def _on_earth(self, now: "_Narrowed", offset: NDArray[np.float64], around: int) -> bool:
+    def _on_earth(self, now: Narrowed, offset: NDArray[np.float64], around: int) -> bool:
         """SMF section 7: contract yaw and place on Earth by this fix and those of the window."""
         turns, place = self._attitude.tube, now.box[EARTH]
         seen = down(now.antenna[2, 0] - offset[2, 1]), up(now.antenna[2, 1] - offset[2, 0])
@@ -124,7 +124,7 @@ class Anchoring:
             self._position.quantum, now.yaws[1], place[:2],
         )  # fmt: skip
 
-    def _in_map(self, now: "_Narrowed", offset: NDArray[np.float64]) -> bool:
+    def _in_map(self, now: Narrowed, offset: NDArray[np.float64]) -> bool:
         """antenna = t + Rz(Ψ)(p(τ) + R arm), by this fix and those of the beginning: contract place and anchor."""
         here = now.box[MAP]
         point = _outward(here[:, 0] + offset[:, 0], here[:, 1] + offset[:, 1])
@@ -136,7 +136,7 @@ class Anchoring:
         here[:, 0], here[:, 1] = np.maximum(here[:, 0], seen[:, 0]), np.minimum(here[:, 1], seen[:, 1])
         return bool(np.all(here[:, 0] <= here[:, 1]))
 
-    def _remember(self, now: "_Narrowed", offset: NDArray[np.float64]) -> None:
+    def _remember(self, now: Narrowed, offset: NDArray[np.float64]) -> None:
         """Keep the first fixes for later: where the robot stood at first, then one every little way."""
         k = self._remembered
         if k == REMEMBERED:

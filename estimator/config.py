@@ -52,6 +52,11 @@ class FilterConfig:
     """Tracks without a tick for this long: the robot is declared to stand still. None: never."""
     standstill_rate_dps: NotNegative = 0.02
     """Body rate that a standing robot may still have (vibration)."""
+    wrong_fixes: Annotated[int, Field(ge=0, le=14)] = 0
+    """GPS: so many of any `wrong_fixes_of` fixes in succession may be anywhere, and the pose still holds, without any
+    fault being told. 0: each fix keeps its bound. Fixes that come too late or without a bound don't count."""
+    wrong_fixes_of: Annotated[int, Field(ge=8, le=60)] = 20
+    """At least 4 wrong_fixes + 4, for fixes to be of use."""
     fault_start_s: Annotated[float, Field(gt=0, le=60)] = 3.0
     """A sensor that breaks its bound contradicts the others this soon; what was said meanwhile is then in doubt."""
     fault_length_s: Annotated[float, Field(gt=0, le=600)] = 10.0

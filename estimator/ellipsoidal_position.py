@@ -72,7 +72,8 @@ class EllipsoidalPosition(PositionChain):
         journal: Journal,
     ) -> None:
         super().__init__(robot, config, encoders, attitude, journal)
-        self.window = NewestFixOnly(attitude.gyro.bias_drift)
+        if not config.wrong_fixes:
+            self.window = NewestFixOnly(attitude.gyro.bias_drift)
         self.sets = (PlanarSet(MAP.start, MAP_YAW), PlanarSet(EARTH.start, EARTH_YAW))
 
     def begin(self, ticks: WheelTicks) -> bool:

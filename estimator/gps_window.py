@@ -94,15 +94,24 @@ class GpsWindow:
         spacing = min(max(0.5 * float(np.max(box[:, 1] - box[:, 0])), LEAST_SPACING_M), MOST_SPACING_M)
         if k and self._path[k - 1] < spacing:
             return
+        if k == MOST_FIXES:
+            self._let_go_of_the_oldest()
+        self._begin_block(bias, slack, quantum)
+
+    def _let_go_of_the_oldest(self) -> None:
+        """Make room for one more fix."""
+        for kept in (
+            self._antenna, self._offset, self._heading, self._seconds, self._way, self._by_bias, self._error,
+            self._bias, self._path,
+        ):  # fmt: skip
+            kept[:-1] = kept[1:]
+        self.count -= 1
+
+    def _begin_block(self, bias: NDArray[np.float64], slack: float, quantum: float) -> None:
+        """The open block ends, and one begins at the fix last given to `narrowed`."""
+        k = self.count
         if k:
             self._error[k - 1] = up(self._error[k - 1, 0] + quantum), up(self._error[k - 1, 1] + quantum)
-        if k == MOST_FIXES:
-            for kept in (
-                self._antenna, self._offset, self._heading, self._seconds, self._way, self._by_bias, self._error,
-                self._bias, self._path,
-            ):  # fmt: skip
-                kept[:-1] = kept[1:]
-            k -= 1
         self._way[k] = self._by_bias[k] = self._path[k] = 0.0
         self._error[k] = slack
         self._bias[k] = 0.5 * (bias[0] + bias[1])

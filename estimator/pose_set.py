@@ -30,6 +30,7 @@ from estimator.config import FilterConfig, RobotConfig, SetName
 from estimator.ellipsoidal_position import EllipsoidalPosition
 from estimator.inconsistency import Journal
 from estimator.position import EARTH, MAP, NO_EPOCH, PositionChain
+from estimator.relaxed_anchoring import RelaxedAnchoring
 from estimator.standstill import Standstill
 from estimator.track_yaw import TrackYaw
 from estimator.tube import poses_between
@@ -60,7 +61,8 @@ class PoseSet:
         self._position = POSITION_CHAINS[config.set](robot, config, encoders, self._attitude, self.journal)
         self._track_yaw = TrackYaw(robot.turning_gauge_m, self._position.tracks, self._attitude, self.journal)
         self._standstill = Standstill(config.standstill_s, self._attitude)
-        self._anchoring = Anchoring(gps, self._attitude, self._position, self.journal)
+        anchoring = RelaxedAnchoring if config.wrong_fixes else Anchoring
+        self._anchoring = anchoring(gps, self._attitude, self._position, self.journal)
         self._tilts: deque[InertialSample] = deque(maxlen=PENDING)
         self._ticks: deque[WheelTicks] = deque(maxlen=PENDING)
         self._fixes: deque[Fix] = deque(maxlen=PENDING)

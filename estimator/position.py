@@ -17,6 +17,7 @@ from estimator.gps_window import GpsWindow
 from estimator.inconsistency import Journal
 from estimator.interval import Interval, meet, up, widen
 from estimator.motion import QUANTUM, TrackBounds, aged_bias, relative_yaw_between, travel_in_all_frames
+from estimator.relaxed_window import RelaxedWindow
 from estimator.tube import Tube, first_not_before, hull_between, last_not_after
 
 NO_EPOCH = -1
@@ -82,7 +83,8 @@ class PositionChain:
         self._attitude = attitude
         self._journal = journal
         self.tube = Tube(int(config.history_s * 1e9), coordinates=6)
-        self.window = GpsWindow(attitude.gyro.bias_drift)
+        drift, wrong = attitude.gyro.bias_drift, config.wrong_fixes
+        self.window = RelaxedWindow(drift, wrong, config.wrong_fixes_of) if wrong else GpsWindow(drift)
         """The way since the fixes that are remembered."""
         self.last_ticks: WheelTicks | None = None
         self._core = np.zeros((9, 2))  # see motion.travel

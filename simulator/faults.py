@@ -6,7 +6,9 @@ afresh for each drive, since some remember what they read before.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import radians
+from math import cos, pi, radians
+
+import numpy as np
 
 from drivers.samples import Fix, InertialSample, Vector3, WheelTicks
 
@@ -41,6 +43,52 @@ class GpsJump(Fault):
         if isinstance(reading, Fix):
             return replace(reading, lat_deg=reading.lat_deg + self.metres / METRES_PER_DEGREE)
         return reading
+
+
+@dataclass(slots=True)
+class FalseFixes(Fault):
+    """Single fixes are off, anywhere between `nearest` and `farthest` times their bound, in any direction.
+
+    A share of all, but never more than `most` of any `of` in succession; `at_once`: as soon as that allows it.
+    """
+
+    share: float = 0.08
+    most: int = 1
+    of: int = 20
+    nearest: float = 1.5
+    farthest: float = 30.0
+    at_once: bool = False
+    together: bool = False
+    """All to the same side, by `nearest` times the bound: they agree with each other."""
+    seed: int = 0
+    count: int = 0
+    """Fixes that were made false."""
+    _random: np.random.Generator | None = None
+    _recent: tuple[bool, ...] = ()
+    """Which of the last of - 1 were false."""
+
+    def broken(self, reading: Reading, t_s: float) -> Reading:
+        """As Fault's."""
+        if not isinstance(reading, Fix):
+            return reading
+        if self._random is None:
+            self._random = np.random.default_rng(self.seed)
+        false = sum(self._recent) < self.most and (self.at_once or self._random.random() < self.share)
+        self._recent = (*self._recent, false)[-(self.of - 1) :]
+        if not false:
+            return reading
+        self.count += 1
+        times = self.nearest if self.together else self._random.uniform(self.nearest, self.farthest)
+        direction = np.ones(3) if self.together else self._random.normal(size=3)
+        direction /= np.abs(direction).max()  # at least one axis is that far off
+        # a fix may have been off by its bound, to the other side
+        east, north, up = (float(d * b * (times + 1.0)) for d, b in zip(direction, reading.bound_m, strict=True))
+        return replace(
+            reading,
+            lat_deg=reading.lat_deg + north / METRES_PER_DEGREE,
+            lon_deg=reading.lon_deg + east / (METRES_PER_DEGREE * cos(reading.lat_deg * pi / 180.0)),
+            alt_m=reading.alt_m + up,
+        )
 
 
 @dataclass(slots=True)
