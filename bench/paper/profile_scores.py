@@ -13,13 +13,16 @@ FLAT = flat_cells()
 _STEPS_M = (70.5, 100.5, *DITCH_M, WALL_M)
 _WINDOW_M = 4.0
 _WALL_CELLS = np.flatnonzero(np.abs(CENTRES_M - WALL_M) < 1.0)
+COUNTED = ("false", "hits_outside", "hits_unseen", "certified", "certified_false", "certified_not_hit", "wall_bounded")
+"""Scores whose sum over all runs is told, too."""
 
 
 def scores(estimate: Estimate, truth: Floats, drive: Drive) -> dict[str, float]:
     """Of one run. NaN where there is nothing to score. Lengths in metres.
 
     rmse_*, roughness over observed cells; contained_* shares of them whose middle's elevation is in the bound; false:
-    truly hit cells with it outside; hits_outside: points that were hit and are outside the bound of their cell; hits_unseen: in cells without one.
+    truly hit cells with it outside; hits_outside: points that were hit and are outside the bound of their cell;
+    hits_unseen: points in cells without one.
     """
     hit = np.zeros(CELL_COUNT, np.bool_)
     hit[drive.hit_cells] = True
@@ -61,16 +64,7 @@ def scores(estimate: Estimate, truth: Floats, drive: Drive) -> dict[str, float]:
 def average(runs: list[dict[str, float]]) -> dict[str, Any]:
     """Mean over runs of each score, and of those that must be zero the sum, as `total_*`."""
     means: dict[str, Any] = {name: float(np.nanmean([run[name] for run in runs])) for name in runs[0]}
-    totals = (
-        "false",
-        "hits_outside",
-        "hits_unseen",
-        "certified",
-        "certified_false",
-        "certified_not_hit",
-        "wall_bounded",
-    )
-    return means | {f"total_{name}": round(sum(run[name] for run in runs)) for name in totals if name in means}
+    return means | {f"total_{name}": round(sum(run[name] for run in runs)) for name in COUNTED if name in means}
 
 
 def _rms(values: Floats) -> float:

@@ -92,11 +92,10 @@ def _runs() -> tuple[dict[tuple[str, str], Callable[[], Any]], int]:
     def ours(certify: bool) -> None:
         our_cells.fill(-np.inf)
         certified.fill(False)
-        guaranteed_1d.insert_guaranteed(
-            *arrays, BOUNDS, *GRID, our_cells, certified, STEP_M if certify else inf, SCRATCH
-        )
+        step_m = STEP_M if certify else inf
+        guaranteed_1d.insert_guaranteed(*arrays, BOUNDS, *GRID, our_cells, certified, step_m, SCRATCH)
 
-    def plain(function: Callable[..., None], spread: Any, starts: tuple[float, ...], interpreted: bool) -> None:
+    def plain(function: Any, spread: Any, starts: tuple[float, ...], interpreted: bool) -> None:
         if interpreted:
             cells: list[Any] = [[start] * CELL_COUNT for start in starts]
             function(*lists, spread.tolist(), *GRID, *cells)
@@ -135,4 +134,6 @@ def _runs() -> tuple[dict[tuple[str, str], Callable[[], Any]], int]:
     return runs, readings.x_m.size
 
 
-_plain_mixture, _plain_kalman, _plain_hull = map(compiled, (plain_1d.mixture, plain_1d.kalman, plain_1d.hull))
+_plain_mixture: Any = compiled(plain_1d.mixture)
+_plain_kalman: Any = compiled(plain_1d.kalman)
+_plain_hull: Any = compiled(plain_1d.hull)
