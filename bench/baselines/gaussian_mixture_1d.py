@@ -44,6 +44,7 @@ def insert_mixture(
 
     cells [m, 3]: S0, S1, S2 of cell first_cell + i, centre (first_cell + i) * width_m. Elevations count from the ground
     where the drive began: the local datum that keeps (9) from cancelling.
+    A measurement that may lie outside the cells is left out.
     """
     for first in range(0, x.size, LANES):
         count = min(LANES, x.size - first)
@@ -87,6 +88,7 @@ def _add_block(
     count: int, width_m: float, first_cell: int, rows: Floats, spans: NDArray[np.int32], cells: Cells
 ) -> None:
     """Each measurement into its cells, by its probability: (6) and (8)."""
+    size = np.uint64(len(cells))
     for n in range(count):
         gain, per_sd, variance = rows[GAIN + n], rows[PER_SD + n], rows[VARIANCE + n]
         away = spans[n] * width_m - rows[PLACE + n]  # of the cell's centre
@@ -94,7 +96,7 @@ def _add_block(
         border, border_step = (away - 0.5 * width_m) * per_sd, width_m * per_sd
         below = normal_cdf(border)
         i, last = np.uint64(spans[n] - first_cell), np.uint64(spans[LANES + n] - first_cell)
-        while i <= last:
+        while i <= last < size:
             border += border_step
             up_to = normal_cdf(border)
             p, below = up_to - below, up_to

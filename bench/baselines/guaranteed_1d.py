@@ -54,7 +54,8 @@ def insert_guaranteed(
     """Take measurements in the order of a drive: x, pitch, ranges, all [n]; bounds [3] of their errors.
 
     cells [m, 2]: -low, high, both rounded up (one maximum takes the hull); certified [m]; most_step_m: the farthest the
-    robot can drive between two measurements; infinity: no cell is to be certified. Pitch lies within STEEPEST_RAD.
+    robot can drive between two measurements; infinity: no cell is to be certified. Pitch lies within STEEPEST_RAD. A
+    measurement that may lie outside the cells is left out.
     """
     per_m = 1.0 / width_m
     run_low, run_high = inf, -inf  # the least upper and the greatest lower end of the run's places
@@ -126,10 +127,11 @@ def _unbroken(count: int, ahead: float, slack: float, less_than_m: float, rows: 
 @compiled
 def _hull_block(count: int, first_cell: int, spans: NDArray[np.int32], ends: Cells, cells: Cells) -> None:
     """Hull of each measurement's cells with its interval."""
+    size = np.uint64(len(cells))
     for n in range(count):
         neg_low, high = ends[n], ends[LANES + n]
         i, last = np.uint64(spans[n] - first_cell), np.uint64(spans[LANES + n] - first_cell)
-        while i <= last:
+        while i <= last < size:
             cell = cells[i]
             cell[0] = neg_low if neg_low > cell[0] else cell[0]
             cell[1] = high if high > cell[1] else cell[1]
@@ -141,8 +143,8 @@ def _certify(run_low: float, run_high: float, per_m: float, first_cell: int, cer
     """Mark the cells that the run surely visited: it was left of run_low once, and right of run_high."""
     if run_low < inf:
         begin, end = int(np.floor(run_low * per_m + 0.5)), int(np.floor(run_high * per_m + 0.5))
-        for j in range(begin, end + 1):
-            certified[j - first_cell] = True
+        for i in range(max(begin - first_cell, 0), min(end + 1 - first_cell, certified.size)):
+            certified[i] = True
 
 
 def ends(cells: Cells) -> tuple[Floats, Floats]:

@@ -43,14 +43,19 @@ def insert_kalman(
     """Take measurements: x [m], pitch [rad], ranges [m], all [n]; sigma [3] of x, pitch, range.
 
     cells [m, 3] as unseen_cells makes them. growth_per_m: by so much (m^2) each cell's variance grows with a metre
-    driven, `step_m` a measurement; added when the cell is touched. 0: no inflation.
+    driven, `step_m` a measurement; added when the cell is touched. 0: no inflation. What lies outside
+    the cells is left out.
     """
     per_m, var_pitch, var_range = 1.0 / width_m, sigma[1] * sigma[1], sigma[2] * sigma[2]
+    size = np.uint64(len(cells))
     for first in range(0, x.size, LANES):
         count = min(LANES, x.size - first)
         _place_block(first, count, x, pitch, ranges, var_pitch, var_range, height_m, per_m, scratch.rows, scratch.cells)
         for n in range(count):
-            cell = cells[np.uint64(scratch.cells[n] - first_cell)]
+            i = np.uint64(scratch.cells[n] - first_cell)
+            if i >= size:
+                continue
+            cell = cells[i]
             Z, R, v = scratch.rows[ELEVATION + n], scratch.rows[VARIANCE + n], float(cell[1])
             if growth_per_m > 0.0:
                 way = (first + n) * step_m

@@ -43,7 +43,11 @@ def insert_set_valued(
     form: int,
     scratch: Scratch,
 ) -> None:
-    """Take measurements: x [m], pitch [rad], ranges [m], all [n]; bounds [3] of their errors, cells [m, 2] ends."""
+    """Take measurements: x [m], pitch [rad], ranges [m], all [n]; bounds [3] of their errors, cells [m, 2] ends.
+
+    A measurement that may lie outside the cells is left out.
+    """
+    size = np.uint64(len(cells))
     for first in range(0, x.size, LANES):
         count = min(LANES, x.size - first)
         here = slice(first, first + count)
@@ -56,7 +60,7 @@ def insert_set_valued(
         for n in range(count):
             low, high = scratch.ends[n], scratch.ends[LANES + n]
             i, last = np.uint64(scratch.cells[n] - first_cell), np.uint64(scratch.cells[LANES + n] - first_cell)
-            while i <= last:
+            while i <= last < size:
                 cell = cells[i]
                 cell[0] = low if low < cell[0] else cell[0]
                 cell[1] = high if high > cell[1] else cell[1]
@@ -78,13 +82,15 @@ def insert_intersecting(
     scratch: Scratch,
 ) -> None:
     """The first-order form with a rule that intersects. levels [m]: cells whose intersection was empty once."""
+    size = np.uint64(len(cells))
     for first in range(0, x.size, LANES):
         count = min(LANES, x.size - first)
         here = slice(first, first + count)
         _first_order(x[here], pitch[here], ranges[here], bounds, height_m, 1.0 / width_m, scratch.cells, scratch.ends)
         for n in range(count):
             low, high = scratch.ends[n], scratch.ends[LANES + n]
-            for i in range(scratch.cells[n] - first_cell, scratch.cells[LANES + n] + 1 - first_cell):
+            i, last = np.uint64(scratch.cells[n] - first_cell), np.uint64(scratch.cells[LANES + n] - first_cell)
+            while i <= last < size:
                 cell, unseen = cells[i], cells[i, 0] > cells[i, 1]
                 meets = max(cell[0], low) <= min(cell[1], high)
                 if meets and not (levels[i] and rule == INTERSECT_UNTIL_EMPTY):
@@ -92,6 +98,7 @@ def insert_intersecting(
                 else:
                     levels[i] |= not unseen
                     cell[0], cell[1] = min(cell[0], low), max(cell[1], high)
+                i += np.uint64(1)
 
 
 @compiled

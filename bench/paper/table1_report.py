@@ -4,10 +4,10 @@ from typing import Any
 
 from bench.paper.error_laws import BROKEN, HOLDING
 from bench.paper.profile_drive import RATE_HZ
+from bench.paper.profile_runs import Scores
 from bench.paper.table1_cost import Cost
 from bench.paper.table1_reference import Check
 
-Scores = dict[str, dict[str, dict[str, Any]]]
 _COLUMNS = {
     "rmse_all": "RMSE all [m]", "rmse_flat": "RMSE flat [m]", "roughness": "roughness [m]", "width_flat": "width [m]",
 }  # fmt: skip
