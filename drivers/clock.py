@@ -35,8 +35,11 @@ class Clock(Protocol):
     def now_ns(self) -> int:
         """Monotonic time in nanoseconds."""
 
-    def lain_ns(self, empty_ns: int) -> int:
-        """How long bytes just read may have lain in a port that the system's clock saw empty at `empty_ns`."""
+    def read_at(self, read_ns: int) -> int:
+        """The time of a read that was over at `read_ns` of the system's clock."""
+
+    def lain_ns(self, read_ns: int, empty_ns: int) -> int:
+        """How long bytes read then may have lain in a port that the system's clock saw empty at `empty_ns`."""
 
     def acknowledge(self, device: str, total_bytes: int) -> None:
         """Say that `total_bytes` of `device` have been read and dealt with since the start."""
@@ -49,9 +52,13 @@ class SystemClock:
         """Nanoseconds of the monotonic clock."""
         return time.monotonic_ns()
 
-    def lain_ns(self, empty_ns: int) -> int:
+    def read_at(self, read_ns: int) -> int:
+        """The same clock."""
+        return read_ns
+
+    def lain_ns(self, read_ns: int, empty_ns: int) -> int:
         """Since then."""
-        return time.monotonic_ns() - empty_ns
+        return read_ns - empty_ns
 
     def acknowledge(self, device: str, total_bytes: int) -> None:
         """Nobody waits."""
@@ -113,7 +120,11 @@ class LockstepClock:
         """The virtual time."""
         return self._words[_NOW_WORD]
 
-    def lain_ns(self, empty_ns: int) -> int:
+    def read_at(self, read_ns: int) -> int:
+        """Now: time stands still until all bytes are dealt with."""
+        return self.now_ns()
+
+    def lain_ns(self, read_ns: int, empty_ns: int) -> int:
         """No time at all: it stands still until all bytes are dealt with."""
         return 0
 

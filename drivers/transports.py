@@ -16,17 +16,17 @@ from pathlib import Path
 from typing import Protocol
 
 import can
+import numpy as np
 import serial
 from can.typechecking import CanFilter
 
 from drivers.errors import PortBusy, PortError, PortLost, PortMissing
 from drivers.kernel_stamps import KernelStamps
 from drivers.track_encoders.codec import CanFrame, pack_can_frame, unpack_can_frame
+from drivers.unlocked_read import EMPTY, READ, SEEN_EMPTY, compile_read, read_when_ready
 
 _READ_BYTES = 65536
 _WRITE_PATIENCE_S = 1.0
-_LOOK_NS = 4_000_000
-"""While waiting, a port is looked at this often, so that it is known to have been empty until a little while ago."""
 _FULL_BYTES = 2048
 """A read of so much may have left bytes behind: a terminal's buffer holds 4095, with more bytes in reserve."""
 
@@ -36,10 +36,16 @@ class Transport(Protocol):
 
     name: str
     """The port as the owner wrote it, for messages."""
-    empty_ns: int
-    """Monotonic time before which none of the bytes came that the last read gave: then the port was seen empty."""
     received_ns: int | None
     """Monotonic time when what was last read had come, where the kernel stamped it; None: only the reader knows."""
+
+    @property
+    def read_ns(self) -> int:
+        """Monotonic time when the last read that gave bytes was over."""
+
+    @property
+    def empty_ns(self) -> int:
+        """Monotonic time before which none of the bytes came that it gave: then the port was seen empty."""
 
     def read(self, timeout_s: float) -> bytes:
         """What has arrived; waits for the first byte at most `timeout_s`, then b"". Raises PortLost."""
@@ -63,42 +69,41 @@ class SerialTransport:
         self.received_ns: int | None = None
         self._line = line
         self._fd = line.fileno()
-        self._readable = select.poll()
-        self._readable.register(self._fd, select.POLLIN)
+        self._watched, self._moment = np.zeros(2, np.int32), np.zeros(2, np.int64)
+        self._times = np.full(3, opened_ns)
+        self._buffer = np.empty(_READ_BYTES, np.uint8)
         self._writable = select.poll()
         self._writable.register(self._fd, select.POLLOUT)
-        self.empty_ns = self._emptied_ns = opened_ns
+
+    @property
+    def read_ns(self) -> int:
+        """When the last bytes were read."""
+        return int(self._times[READ])
+
+    @property
+    def empty_ns(self) -> int:
+        """Before then none of them came."""
+        return int(self._times[EMPTY])
 
     def read(self, timeout_s: float) -> bytes:
         """What has arrived; waits for the first byte at most `timeout_s`, then b""."""
+        timeout_ns = int(max(0.0, timeout_s) * 1e9)
+        count = read_when_ready(
+            self._fd, timeout_ns, _FULL_BYTES, self._watched, self._moment, self._times, self._buffer
+        )
+        if count >= 0:
+            return self._buffer[:count].tobytes()
+        # The port is gone, or a signal has come.
         try:
-            if not self._wait(max(0.0, timeout_s)):
-                return b""
-            begun_ns = time.monotonic_ns()
             data = os.read(self._fd, _READ_BYTES)
-            self.empty_ns = self._emptied_ns
-            if len(data) < _FULL_BYTES:  # nothing was left behind
-                self._emptied_ns = begun_ns
-        except BlockingIOError:
+        except (BlockingIOError, InterruptedError):
             return b""
         except OSError as error:
             raise self._lost(error) from error
         if not data:  # ready to read, yet nothing to read: the other end is gone
             raise self._lost(None)
+        self._times[EMPTY], self._times[READ] = self._times[SEEN_EMPTY], time.monotonic_ns()
         return data
-
-    def _wait(self, timeout_s: float) -> bool:
-        """Until there is something to read; remembers when there surely was nothing."""
-        now_ns = time.monotonic_ns()
-        until_ns, wait_ns = now_ns + int(timeout_s * 1e9), 0
-        while not self._readable.poll(wait_ns * 1e-6):
-            # It gave up no earlier than it was asked to, and found nothing then.
-            self._emptied_ns = now_ns + wait_ns
-            now_ns = time.monotonic_ns()
-            if now_ns >= until_ns:
-                return False
-            wait_ns = min(_LOOK_NS, until_ns - now_ns)
-        return True
 
     def write(self, data: bytes) -> None:
         """Send all of `data`; a line that takes nothing for a second counts as lost."""
@@ -139,6 +144,7 @@ class SerialTransport:
 
 def open_serial(port: str, baud: int) -> SerialTransport:
     """Open the tty `port` exclusively; what it had buffered is thrown away, since nobody knows when that came."""
+    compile_read()
     opened_ns = time.monotonic_ns()
     try:
         line = serial.Serial(port, baud, timeout=0, exclusive=True, xonxoff=False, rtscts=False, dsrdtr=False)
@@ -178,7 +184,7 @@ class SocketCanTransport:
         self.received_ns: int | None = None
         self.stamps = stamps or KernelStamps()
         self._bus = bus
-        self.empty_ns = self.stamps.not_before_ns
+        self.read_ns = self.empty_ns = self.stamps.not_before_ns
 
     def read(self, timeout_s: float) -> bytes:
         """The next frame; waits for it at most `timeout_s`."""
@@ -192,7 +198,7 @@ class SocketCanTransport:
             raise self._lost(error) from error
         if message is None:
             return b""
-        self.empty_ns = self.stamps.not_before_ns
+        self.read_ns, self.empty_ns = time.monotonic_ns(), self.stamps.not_before_ns
         self.received_ns = self.stamps.received_ns(round(message.timestamp * 1e9))
         return pack_can_frame(_frame_of(message))
 

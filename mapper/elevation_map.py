@@ -21,7 +21,7 @@ from mapper.config import MapConfig
 from mapper.contact import insert_patches, track_patches
 from mapper.grid import TILE_SIDE, tile_indices, tile_key
 from mapper.projection import B_SIZE, G_SIZE, LANES, P_SIZE, Floats, beam_table, laser_geometry
-from mapper.tile import Tile, unseen_tile
+from mapper.tile import NO_CELL, NOWHERE, Tile, sealed_tile, unseen_tile
 
 _MAP_NORESERVE = 0x4000
 """Linux's; Python names it from 3.13 on."""
@@ -250,16 +250,19 @@ class ElevationMap:
 
     def _tile(self, index: int) -> Tile:
         ix, iy = tile_indices(int(self._keys[index]))
-        return Tile(self.submap, ix, iy, self.config.resolution_m, *self._layers(index))
+        return sealed_tile(self.submap, ix, iy, self.config.resolution_m, *self._layers(index))
 
     def _layers(self, index: int) -> list[NDArray[Any]]:
-        """The layers of a tile, as its constructor takes them; none of settled cells where no evidence is kept."""
-        low, high, settled_low, settled_high = np.empty((4, TILE_SIDE, TILE_SIDE), np.float32)
-        surely_hit = np.empty((TILE_SIDE, TILE_SIDE), np.bool_)
-        tile_layers.copy_tile(self._pool[index], self._sure[index], low, high, surely_hit)
-        if not self.config.evidence_slots:
-            return [low, high, surely_hit]
-        tile_layers.copy_settled(self._pool[index], self.config.evidence_set_aside, settled_low, settled_high)
+        """The layers of a tile, as `sealed_tile` takes them; none of settled cells where no evidence is kept."""
+        shape = TILE_SIDE, TILE_SIDE
+        low, high, surely_hit = np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.bool_)
+        if not tile_layers.copy_tile(self._pool[index], self._sure[index], low, high, surely_hit):
+            surely_hit = NO_CELL
+        settled_low = settled_high = NOWHERE
+        if self.config.evidence_slots:
+            settled = np.empty(shape, np.float32), np.empty(shape, np.float32)
+            if tile_layers.copy_settled(self._pool[index], self.config.evidence_set_aside, *settled):
+                settled_low, settled_high = settled
         return [low, high, surely_hit, settled_low, settled_high]
 
     def _make_ready(self) -> None:

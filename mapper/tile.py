@@ -7,6 +7,7 @@ repeated, reordered and re-sent tiles change nothing. So is everything here that
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,6 +101,15 @@ class Tile:
         return tile_corner_m(self.ix, self.iy, self.resolution_m)
 
 
+def sealed_tile(submap: int, ix: int, iy: int, resolution_m: float, *layers: NDArray[Any]) -> Tile:
+    """The tile of layers that are canonical already and nobody else's: neither checked nor copied."""
+    made = object.__new__(Tile)
+    for name, value in (("submap", submap), ("ix", ix), ("iy", iy), ("resolution_m", resolution_m)):
+        object.__setattr__(made, name, value)
+    _seal(made, *layers)
+    return made
+
+
 def unseen_tile(submap: int, ix: int, iy: int, resolution_m: float) -> Tile:
     """The tile that says nothing: neutral to `join`."""
     return Tile(submap, ix, iy, resolution_m, NOWHERE, NOWHERE)
@@ -122,7 +132,7 @@ def join(a: Tile, b: Tile) -> Tile:
         settled = (a if a.has_settled else b).layers[3:]
     else:
         settled = _pair(_join, a.settled_low, a.settled_high, b.settled_low, b.settled_high)
-    return _like(a, low, high, a.surely_hit | b.surely_hit, *settled)
+    return _like(a, low, high, _either(a.surely_hit, b.surely_hit), *settled)
 
 
 def changed(old: Tile | None, new: Tile) -> Tile:
@@ -131,14 +141,18 @@ def changed(old: Tile | None, new: Tile) -> Tile:
         return new
     if not _same_place(old, new):
         raise ValueError(f"can't compare {_place(old)} with {_place(new)}")
-    differs = old.surely_hit != new.surely_hit
+    both = old.surely_hit is NO_CELL and new.surely_hit is NO_CELL
+    differs = NO_CELL.copy() if both else old.surely_hit != new.surely_hit
     _mark_changed(old.low, old.high, new.low, new.high, differs)
     if new.has_settled:
         _mark_changed(old.settled_low, old.settled_high, new.settled_low, new.settled_high, differs)
-    settled = (_only(differs, new.settled_low), _only(differs, new.settled_high))
-    if np.isnan(settled[0]).all():
-        settled = NOWHERE, NOWHERE
-    return _like(new, _only(differs, new.low), _only(differs, new.high), new.surely_hit & differs, *settled)
+    settled = (new.settled_low, new.settled_high)
+    if new.has_settled:
+        settled = _pair(_only, differs, *settled)
+        if not _count_seen(settled[0]):
+            settled = NOWHERE, NOWHERE
+    surely_hit = NO_CELL if new.surely_hit is NO_CELL else new.surely_hit & differs
+    return _like(new, *_pair(_only, differs, new.low, new.high), surely_hit, *settled)
 
 
 def snap_outward(tile: Tile) -> Tile:
@@ -176,15 +190,17 @@ def _intervals(low: Layer, high: Layer) -> tuple[Layer, Layer]:
     return canonical_low, canonical_high
 
 
-def _pair(operation: Callable[..., object], *layers: Layer) -> tuple[Layer, Layer]:
+def _pair(operation: Callable[..., object], *layers: NDArray[Any]) -> tuple[Layer, Layer]:
     """What a compiled operation writes into a new low and high."""
     low, high = _blank(), _blank()
     operation(*layers, low, high)
     return low, high
 
 
-def _only(cells: Flags, layer: Layer) -> Layer:
-    return np.where(cells, layer, _NAN)
+def _either(a: Flags, b: Flags) -> Flags:
+    if a is NO_CELL or b is NO_CELL:
+        return b if a is NO_CELL else a
+    return a | b
 
 
 def _blank() -> Layer:
@@ -202,11 +218,7 @@ def _layer(given: Layer) -> Layer:
 
 def _like(tile: Tile, *layers: NDArray[np.generic]) -> Tile:
     """A tile at the place of `tile`, of layers that were made canonical: not checked once more."""
-    made = object.__new__(Tile)
-    for name in ("submap", "ix", "iy", "resolution_m"):
-        object.__setattr__(made, name, getattr(tile, name))
-    _seal(made, *layers)
-    return made
+    return sealed_tile(tile.submap, tile.ix, tile.iy, tile.resolution_m, *layers)
 
 
 def _seal(tile: Tile, *layers: NDArray[np.generic]) -> None:
@@ -246,6 +258,14 @@ def _mark_changed(old_low: Layer, old_high: Layer, new_low: Layer, new_high: Lay
             a, b = new_low[row, col], new_high[row, col]
             # Cells only ever grow from unseen; what is NaN in both is the same.
             differs[row, col] |= (a != old_low[row, col] or b != old_high[row, col]) and not np.isnan(a)
+
+
+@compiled
+def _only(cells: Flags, low: Layer, high: Layer, only_low: Layer, only_high: Layer) -> None:
+    for row in range(TILE_SIDE):
+        for col in range(TILE_SIDE):
+            only_low[row, col] = low[row, col] if cells[row, col] else _NAN
+            only_high[row, col] = high[row, col] if cells[row, col] else _NAN
 
 
 @compiled

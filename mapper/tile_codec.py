@@ -7,6 +7,7 @@ before cells had flags.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from backports import zstd
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from google.protobuf.message import DecodeError
+from google.protobuf.timestamp_pb2 import Timestamp
 from numpy.typing import NDArray
 
 from mapper.grid import TILE_CELLS, TILE_SIDE, tile_corner_m
@@ -58,20 +60,31 @@ def encode(tile: Tile, frame_id: str, stamp_ns: int) -> bytes:
     cells["elevation_min"], cells["elevation_max"], cells["surely_hit"] = snapped.low, snapped.high, tile.surely_hit
     if tile.has_settled:
         cells["settled_min"], cells["settled_max"] = snapped.settled_low, snapped.settled_high
-    message = Grid(
+    seconds, nanos = divmod(stamp_ns, _NS)
+    # Serialised messages, one after the other, are the serialised union of their fields.
+    message = (
+        Grid(timestamp=Timestamp(seconds=seconds, nanos=nanos)).SerializeToString(),
+        _around_cells(frame_id, tile.ix, tile.iy, tile.resolution_m, cells.dtype),
+        Grid(data=cells.tobytes()).SerializeToString(),
+    )
+    return _COMPRESSOR.compress(b"".join(message), zstd.ZstdCompressor.FLUSH_FRAME)
+
+
+@lru_cache(maxsize=1024)
+def _around_cells(frame_id: str, ix: int, iy: int, resolution_m: float, record: np.dtype[np.void]) -> bytes:
+    """What a tile's messages say alike, whatever is in its cells: serialised."""
+    around = Grid(
         frame_id=frame_id,
         column_count=TILE_SIDE,
-        row_stride=TILE_SIDE * cells.itemsize,
-        cell_stride=cells.itemsize,
-        data=cells.tobytes(),
+        row_stride=TILE_SIDE * record.itemsize,
+        cell_stride=record.itemsize,
     )
-    message.timestamp.seconds, message.timestamp.nanos = divmod(stamp_ns, _NS)
-    message.pose.position.x, message.pose.position.y = tile.corner_m
-    message.pose.orientation.w = 1.0
-    message.cell_size.x = message.cell_size.y = tile.resolution_m
-    for name, offset, kind in _fields(cells.dtype):
-        message.fields.add(name=name, offset=offset, type=kind)
-    return _COMPRESSOR.compress(message.SerializeToString(deterministic=True), zstd.ZstdCompressor.FLUSH_FRAME)
+    around.pose.position.x, around.pose.position.y = tile_corner_m(ix, iy, resolution_m)
+    around.pose.orientation.w = 1.0
+    around.cell_size.x = around.cell_size.y = resolution_m
+    for name, offset, kind in _fields(record):
+        around.fields.add(name=name, offset=offset, type=kind)
+    return around.SerializeToString(deterministic=True)
 
 
 def decode(payload: bytes, submap: int) -> ReceivedTile:

@@ -14,6 +14,8 @@ from mapper.tile import Layer
 
 NOTHING = np.uint32(0x7FC00000).view(np.float32)
 """What a tile says of an unseen cell."""
+ZERO = np.float32(0.0)
+"""0 - 0 and -0 + 0 are +0."""
 
 
 @compiled
@@ -71,28 +73,40 @@ def hull_plane(low: Layer, high: Layer, cells: Cells) -> bool:
 
 
 @compiled
-def copy_tile(cells: Cells, words: Bits, low: Layer, high: Layer, surely_hit: Flags) -> None:
-    """One tile's low and high [64, 64], NaN where nothing was seen, and its flags. cells: [planes, TILE_FLOATS]."""
+def copy_tile(cells: Cells, words: Bits, low: Layer, high: Layer, surely_hit: Flags) -> np.bool_:
+    """One tile's low and high [64, 64], NaN where nothing was seen, and its flags; is any set?
+
+    cells: [planes, TILE_FLOATS]. What is written is canonical (mapper/tile.py): no negative zero, one NaN.
+    """
+    any_hit = np.uint64(0)
     for row in range(TILE_SIDE):
         for col in range(TILE_SIDE):
             at = 2 * (row * TILE_SIDE + col)
             neg_low, top = widest(cells, at)
             seen = neg_low > UNSEEN
-            low[row, col] = -neg_low if seen else NOTHING
-            high[row, col] = top if seen else NOTHING
+            low[row, col] = ZERO - neg_low if seen else NOTHING
+            high[row, col] = top + ZERO if seen else NOTHING
             surely_hit[row, col] = (words[row] >> np.uint64(col)) & np.uint64(1) != np.uint64(0)
+        any_hit |= words[row]
+    return np.bool_(any_hit != np.uint64(0))
 
 
 @compiled
-def copy_settled(cells: Cells, set_aside: int, settled_low: Layer, settled_high: Layer) -> None:
-    """One tile's settled bounds [64, 64], NaN where slots are too few or don't agree. cells: [1 + slots, ..]."""
+def copy_settled(cells: Cells, set_aside: int, settled_low: Layer, settled_high: Layer) -> np.bool_:
+    """One tile's settled bounds [64, 64], NaN where slots are too few or don't agree; is any cell settled?
+
+    cells: [1 + slots, TILE_FLOATS]. What is written is canonical.
+    """
+    found = 0
     for row in range(TILE_SIDE):
         for col in range(TILE_SIDE):
             at = 2 * (row * TILE_SIDE + col)
             neg_low, high = ranked(cells, at, set_aside), ranked(cells, at + 1, set_aside)
             settled = neg_low > UNSEEN and -neg_low <= high
-            settled_low[row, col] = -neg_low if settled else NOTHING
-            settled_high[row, col] = high if settled else NOTHING
+            settled_low[row, col] = ZERO - neg_low if settled else NOTHING
+            settled_high[row, col] = high + ZERO if settled else NOTHING
+            found += bool(settled)
+    return np.bool_(found > 0)
 
 
 @compiled

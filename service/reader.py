@@ -104,14 +104,15 @@ class Reader:
             if protocol.baud is not None:
                 transport.set_baud(protocol.baud)
             data = transport.read(self._patience_s())
-            now_ns, received_ns = self._clock.now_ns(), time.monotonic_ns()
-            self._health.alive(name, received_ns)
+            received_ns = transport.read_ns
+            now_ns = self._clock.read_at(received_ns) if data else self._clock.now_ns()
+            self._health.alive(name, time.monotonic_ns())
             if protocol.deadline_ns is not None and protocol.deadline_ns <= now_ns:
                 self._record(None, now_ns)
                 protocol.advance(now_ns)
             if not data:
                 continue
-            late_ns = lateness_ns(self._clock.lain_ns(transport.empty_ns))
+            late_ns = lateness_ns(self._clock.lain_ns(received_ns, transport.empty_ns))
             if transport.received_ns is not None:
                 now_ns, late_ns = transport.received_ns, 0
             if late_ns:

@@ -218,7 +218,7 @@ class _Wire:
             if (baud := self._baud or protocol.baud) is not None:
                 self._transport.set_baud(baud)
             data = self._transport.read(_patience_s(protocol.deadline_ns))
-            now_ns = time.monotonic_ns()
+            now_ns = self._transport.read_ns if data else time.monotonic_ns()
             if protocol.deadline_ns is not None and protocol.deadline_ns <= now_ns:
                 protocol.advance(now_ns)
             self.byte_count += len(data)

@@ -1,0 +1,87 @@
+"""Wait at a port and read it, all in machine code: the interpreter is not needed before bytes are there and stamped.
+
+A reader in Python would wait for its turn between the arrival of bytes and the look at the clock, and again each time
+it looks whether the port is empty. Here neither waits for another thread; the kernel's scheduler alone is left.
+"""
+
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.compiled import compiled_unlocked
+
+POLLIN = 0x0001
+CLOCK_MONOTONIC = 1
+_NS = 1_000_000_000
+
+EMPTY, READ, SEEN_EMPTY = 0, 1, 2
+"""In `times`, monotonic nanoseconds: none of the bytes read came before EMPTY; they were read at READ; and the port was
+last seen empty at SEEN_EMPTY, which may be later."""
+
+_C: Any = numba.types
+# Linux's own calls, found in the C library that Python runs on; struct pollfd is two int32, struct timespec two int64.
+_ppoll = _C.ExternalFunction("ppoll", _C.int32(_C.intp, _C.uint64, _C.intp, _C.intp))
+_read = _C.ExternalFunction("read", _C.int64(_C.int32, _C.intp, _C.uint64))
+_clock_gettime = _C.ExternalFunction("clock_gettime", _C.int32(_C.int32, _C.intp))
+
+LOOK_NS = 4_000_000
+"""While waiting, a port is looked at this often, so that it is known to have been empty until a little while ago."""
+NOTHING, GONE = 0, -1
+"""Instead of a count of bytes: the time is over; the port can't be waited at or read (ask it for the error)."""
+
+
+@compiled_unlocked
+def read_when_ready(
+    fd: int,
+    timeout_ns: int,
+    full: int,
+    watched: NDArray[np.int32],
+    moment: NDArray[np.int64],
+    times: NDArray[np.int64],
+    buffer: NDArray[np.uint8],
+) -> int:
+    """Wait until port `fd` has bytes, at most `timeout_ns`; how many were read into `buffer`, or NOTHING, or GONE.
+
+    times [3] goes on from call to call. A read of `full` bytes or more may have left some behind: then the port has not
+    been seen empty. watched [2] and moment [2] are room for this call alone.
+    """
+    now_ns = _now_ns(moment)
+    until_ns, wait_ns = now_ns + timeout_ns, np.int64(0)
+    while True:
+        watched[0], watched[1] = fd, POLLIN
+        moment[0], moment[1] = wait_ns // _NS, wait_ns % _NS
+        ready = _ppoll(watched.ctypes.data, 1, moment.ctypes.data, 0)
+        if ready < 0:
+            return GONE
+        if ready > 0:
+            break
+        # It gave up no earlier than it was asked to, and found nothing then.
+        times[SEEN_EMPTY] = now_ns + wait_ns
+        now_ns = _now_ns(moment)
+        if now_ns >= until_ns:
+            return NOTHING
+        left_ns = until_ns - now_ns
+        wait_ns = np.int64(left_ns if left_ns < LOOK_NS else LOOK_NS)
+    begun_ns = _now_ns(moment)
+    count: int = _read(fd, buffer.ctypes.data, buffer.size)
+    times[READ] = _now_ns(moment)
+    if count <= 0:
+        return GONE
+    times[EMPTY] = times[SEEN_EMPTY]
+    if count < full:
+        times[SEEN_EMPTY] = begun_ns
+    return count
+
+
+def compile_read() -> None:
+    """Have the machine code made now (half a second at first, then cached), so that no byte waits for it."""
+    room, times = np.zeros(2, np.int32), np.zeros(3, np.int64)
+    assert read_when_ready(-1, 0, 1, room, np.zeros(2, np.int64), times, np.zeros(1, np.uint8)) == NOTHING
+
+
+@compiled_unlocked
+def _now_ns(moment: NDArray[np.int64]) -> np.int64:
+    _clock_gettime(CLOCK_MONOTONIC, moment.ctypes.data)
+    return np.int64(moment[0] * _NS + moment[1])
