@@ -11,7 +11,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
-from bench import can_gps_cost, imu_cost, laser, line_faults
+from bench import can_gps_cost, imu_cost, laser, line_faults, live
 from bench.line import LineResult, measure_line
 from bench.machine import heading
 
@@ -93,6 +93,7 @@ def _kernel_section() -> str:
 
 SECTIONS: dict[str, tuple[str, Callable[[], str]]] = {
     "line": ("The whole line", _line_section),
+    "live": ("The service, live", live.section),
     "kernel": ("The mapping kernel", _kernel_section),
     "faults": ("Bad lines", line_faults.section),
     "can_gps": ("The encoders' and the receiver's parsers", can_gps_cost.section),

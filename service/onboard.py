@@ -3,6 +3,7 @@
 Used alike by `run`, `demo`, `replay --ports` and the tests; they differ in the clock and in where the ports lead.
 """
 
+import gc
 import threading
 import time
 from collections.abc import Callable
@@ -31,12 +32,14 @@ from service.sample_queue import SampleQueue
 
 IDLE_S = 0.02
 """The pipeline thread looks up this often when no sample comes."""
-LEAST_OFFER_NS = 10_000_000
+LEAST_OFFER_NS = 4_000_000
 """Updates are at least this far apart: a fast replay coalesces more instead of publishing more. Scans are farther."""
 COUNT_PERIOD_NS = 50_000_000
 """The pipeline's counts are brought together this often."""
 GATHER_S = 0.004
-"""In lockstep, where samples come faster than this: take more at a time, so that threads change places less often."""
+"""In a lockstep that hurries: take more samples at a time, so that threads change places less often."""
+HURRY = 1.5
+"""Times real time."""
 TOLD_FAULTS = 16
 """Health tells of so many of the newest."""
 OFFER_PERIOD_NS = 100_000_000
@@ -118,6 +121,8 @@ class Onboard:
         self._lockstep = lockstep
         self._stopping = threading.Event()
         self._offered_ns = 0
+        self._pace = 0, clock.now_ns(), False
+        """The system's time and the clock's when they were last compared, and whether the latter hurried until then."""
         self._counted_ns = 0
         self._uncounted = False
         self._save_wanted = threading.Event()
@@ -144,6 +149,8 @@ class Onboard:
             )
             self._resources.callback(self._end_recording, capture)
         rehearse(self._loaded.config)
+        # What the start has made stays: the cycle collector need not go through it again and again.
+        gc.freeze()
         self.pipeline.map.submap = self.publisher.submap = self.keeper.start()
         self.publisher.start()
         self._thread.start()
@@ -229,11 +236,10 @@ class Onboard:
 
     def _map(self) -> None:
         """The pipeline thread: take, step, offer."""
-        done_s = 0.0
         try:
             while not self._stopping.is_set() or not self.queue.empty:
                 arrivals = self.queue.take(IDLE_S)
-                if self._lockstep and arrivals and time.monotonic() - done_s < GATHER_S:
+                if arrivals and self._hurries():
                     time.sleep(GATHER_S)
                     arrivals += self.queue.take(0)
                 for arrival in arrivals:
@@ -242,7 +248,6 @@ class Onboard:
                     self._report()
                 self._offer()
                 self._roll()
-                done_s = time.monotonic()
                 if self._save_wanted.is_set():
                     self._save_wanted.clear()
                     self._save_in_passing()
@@ -250,6 +255,17 @@ class Onboard:
             self._offer(last=True)
         except BaseException as error:
             self._failure = error
+
+    def _hurries(self) -> bool:
+        """Does the lockstep clock run faster than real time? It is looked at every now and then."""
+        if not self._lockstep:
+            return False
+        wall_ns, now_ns = time.monotonic_ns(), self.clock.now_ns()
+        wall_before_ns, before_ns, hurries = self._pace
+        if wall_ns - wall_before_ns > OFFER_PERIOD_NS:
+            hurries = now_ns - before_ns > HURRY * (wall_ns - wall_before_ns)
+            self._pace = wall_ns, now_ns, hurries
+        return hurries
 
     def _report(self) -> None:
         """Tell health that the pipeline has taken what there was, and now and then how much that has been."""

@@ -20,7 +20,7 @@ LOOK_UP_S = 0.5
 
 
 class EmulatedRobot:
-    """`terrabound emulate robot` on a lockstep clock, from its start to its truth. A context manager."""
+    """`terrabound emulate robot`, on a lockstep clock or in real time, start to truth. A context manager."""
 
     def __init__(
         self,
@@ -32,6 +32,7 @@ class EmulatedRobot:
         speed: float | Literal["max"] = "max",
         seed: int = 1,
         errors: str = "uniform",
+        lockstep: bool = True,
     ) -> None:
         """Devices come up as folder/ports/laser and so on; `config` declares the bounds that their errors keep."""
         self.clock_path = folder / "clock"
@@ -44,7 +45,7 @@ class EmulatedRobot:
             "--speed": speed,
             "--seed": seed,
             "--errors": errors,
-            "--clock": self.clock_path,
+            **({"--clock": self.clock_path} if lockstep else {}),
             "--truth": self.truth_path,
         }
         options = [str(word) for pair in arguments.items() for word in pair]
