@@ -8,6 +8,7 @@ code that any width reserves.
 """
 
 from collections import Counter
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,10 +67,21 @@ def _known_sweep(variant: Variant | None) -> Sweep | None:
 class LmsStreamDecoder:
     """Every scan in a stream of bytes from a scanner that somebody else talks to."""
 
-    def __init__(self, measuring_mode: int | None = None, variant: Variant | None = None) -> None:
-        self.counts: Counter[str] = Counter()
+    def __init__(
+        self,
+        measuring_mode: int | None = None,
+        variant: Variant | None = None,
+        *,
+        unit: int | None = None,
+        sent: Callable[[Frame], Stamp] = lambda frame: Stamp(frame.stamp_ns, frame.stamp_ns),
+        counts: Counter[str] | None = None,
+    ) -> None:
+        """unit: scans in another one are left out. sent: when a telegram's first byte was; else that it was read."""
+        self.counts: Counter[str] = Counter() if counts is None else counts
         self._reader = FrameReader(self.counts)
         self._gaps = IndexGaps(self.counts)
+        self._unit = unit
+        self._sent = sent
         self._mode = measuring_mode
         self._inferred_bits: int | None = None
         self._variant = variant
@@ -140,18 +152,19 @@ class LmsStreamDecoder:
         scans = []
         parts = parse_ranges(frame.payload)
         self._gaps.take(parts[0].indices)
+        sent = self._sent(frame)
         for part in parts:
             sweep, ranges_m = self._sweep(part), self._ranges_m(part)
             if sweep is None or ranges_m is None:
                 self.counts["undecoded_scans"] += 1
                 continue
             self.counts["scans"] += 1
-            scans.append(scan_of(part, sweep, ranges_m, Stamp(frame.stamp_ns, frame.stamp_ns)))
+            scans.append(scan_of(part, sweep, ranges_m, sent))
         return scans
 
     def _ranges_m(self, part: RangeTelegram) -> NDArray[np.float64] | None:
         """[n] distances of a part, or None if it holds none."""
-        if part.unit not in STEPS_PER_METRE:
+        if part.unit not in STEPS_PER_METRE or self._unit not in (None, part.unit):
             self.counts["undecoded_unit"] += 1
             return None
         if self._mode is None:

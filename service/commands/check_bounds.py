@@ -18,7 +18,7 @@ from drivers.samples import Sample
 from estimator.bound_usage.ledger import Usage, Verdict
 from estimator.bound_usage.usage import bound_usage
 from service.commands.replay import configuration_of, with_progress
-from service.replay import arrivals
+from service.replay import arrivals, recorded_devices
 
 STYLES = {Verdict.CONTRADICTED: "bold red", Verdict.SUSPECT: "red", Verdict.WIDE: "yellow", Verdict.LOOKS_WIDE: "dim"}
 
@@ -27,9 +27,10 @@ def check_bounds(capture: Path, config: Path | None = None, report: Path | None 
     """Print the table, write the report; 1 if a bound is contradicted, else 0."""
     recording = read_capture(capture)
     loaded = configuration_of(recording, capture, config)
+    devices = recorded_devices(loaded, recording)
     with ExitStack() as stack:
         chunks = with_progress(recording, stack)
-        samples: list[Sample] = [arrival.sample for arrival in arrivals(loaded, chunks, Counter())]
+        samples: list[Sample] = [arrival.sample for arrival in arrivals(devices, chunks, Counter())]
     if not samples:
         raise CaptureError(f"{capture}: not one reading of a configured device in it")
     settings = loaded.config

@@ -17,7 +17,7 @@ from drivers.protocol import DeviceProtocol
 from drivers.samples import Sample
 from estimator.bounded_pose import BoundedPose
 from service.config import LoadedConfig
-from service.devices import wiring
+from service.devices import Device, wiring
 from service.lateness import Lateness
 from service.onboard import Onboard
 from service.pipeline import Pipeline
@@ -30,7 +30,10 @@ READ_PATIENCE_S = 30.0
 
 
 def replay_through_ports(
-    loaded: LoadedConfig, chunks: Iterable[RawChunk], on_pose: Callable[[BoundedPose], None] | None = None
+    loaded: LoadedConfig,
+    chunks: Iterable[RawChunk],
+    devices: Iterable[Device],
+    on_pose: Callable[[BoundedPose], None] | None = None,
 ) -> Pipeline:
     """Write each chunk to its port at its recorded time, on a lockstep clock; returns the finished pipeline.
 
@@ -54,11 +57,12 @@ def replay_through_ports(
         for name, link in links.items():
             ports[name] = PseudoPort(link)
             stack.callback(ports[name].close)
-        devices = wiring(on_ports)
         rehearsed = {device.name: _Rehearsed(device.protocol()) for device in devices}
-        devices = tuple(replace(device, protocol=partial(rehearsed.__getitem__, device.name)) for device in devices)
+        rewired = tuple(
+            replace(device, protocol=partial(rehearsed.__getitem__, device.name)) for device in wiring(on_ports)
+        )
         onboard = Onboard(
-            on_ports, readers_clock, devices=devices, on_pose=on_pose, lockstep=True, publish=False, keep=False
+            on_ports, readers_clock, devices=rewired, on_pose=on_pose, lockstep=True, publish=False, keep=False
         )
         onboard.start()
         stack.callback(onboard.stop)

@@ -16,6 +16,7 @@ from service.config import LoadedConfig, load, parse
 from service.map_file import save_map
 from service.messages import write_pose
 from service.pipeline import Pipeline
+from service.replay import recorded_devices
 from service.replay import replay as replay_directly
 
 
@@ -53,8 +54,12 @@ def replay(
             def on_pose(pose: BoundedPose) -> None:
                 print(write_pose(pose).decode(), file=lines)
 
+        devices = recorded_devices(loaded, recording)
         chunks = with_progress(recording, stack)
-        pipeline = replay_through_ports(loaded, chunks, on_pose) if ports else replay_directly(loaded, chunks, on_pose)
+        if ports:
+            pipeline = replay_through_ports(loaded, chunks, devices, on_pose)
+        else:
+            pipeline = replay_directly(loaded, chunks, on_pose, devices)
     _report(pipeline, recording)
     if map is not None:
         save_map(pipeline, map)

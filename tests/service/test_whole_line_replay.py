@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.capture import RawChunk, read_capture
+from drivers.capture import CaptureWriter, RawChunk, read_capture
 from drivers.sick_lms.protocol import SickLmsProtocol
+from drivers.sick_lms.telegrams import Command
 from mapper.saved_map import SavedMap
 from mapper.saved_map import load as load_map
-from service.commands.evaluation import check_bounds
+from service.commands.evaluation import PoseSets, check_bounds
 from service.commands.port_drive import PortDrive
 from service.commands.replay import replay
 from service.replay import replay as replay_directly
@@ -53,6 +54,30 @@ def test_a_replay_is_the_live_run_bit_for_bit(port_drive: PortDrive, tmp_path: P
     replay(port_drive.capture, map=tmp_path / "map.npz", poses=tmp_path / "poses.jsonl", ports=ports)
     assert (tmp_path / "map.npz").read_bytes() == port_drive.map.read_bytes()
     assert (tmp_path / "poses.jsonl").read_bytes() == port_drive.poses.read_bytes()
+
+
+@pytest.mark.parametrize("told", [True, False], ids=["all but one answer is heard", "it streams already"])
+def test_a_scanner_that_somebody_else_has_set_up_is_listened_to(
+    port_drive: PortDrive, tmp_path: Path, said: SaidOnStderr, told: bool
+) -> None:
+    """Without a conversation that our driver can follow, the telegrams tell: the scans come, and nothing is outside."""
+    chunks, loaded = list(read_capture(port_drive.capture)), port_drive.loaded
+    talk = [chunk for chunk in chunks if chunk.device == "laser" and chunk.data]
+    of_errors = next(i for i, chunk in enumerate(talk) if Command.ERRORS.answer in chunk.data[:8])
+    left_out = talk[of_errors : of_errors + 1] if told else talk[: len(talk) // 4]
+    heard = CaptureWriter(tmp_path / "heard.mcap", loaded.text, loaded.dbc_text())
+    for chunk in chunks:
+        if not chunk.deadline and not any(chunk is unheard for unheard in left_out):
+            heard.write(chunk.device, chunk.data, chunk.stamp_ns, chunk.stamp_ns)
+    heard.close()
+    assert replay(tmp_path / "heard.mcap", map=tmp_path / "map.npz", poses=tmp_path / "poses.jsonl") == 0
+    assert ("laser_scans_of_inferred_width" in said()) is not told
+    poses = PoseSets.read(tmp_path / "poses.jsonl")
+    pose_violations, cell_violations, hits = check_bounds(
+        port_drive.truth, poses, load_map(tmp_path / "map.npz"), loaded.config.devices.laser
+    )
+    assert (pose_violations, cell_violations) == (0, 0)
+    assert hits > 20_000
 
 
 def test_a_cut_recording_replays_up_to_the_cut(port_drive: PortDrive, tmp_path: Path, said: SaidOnStderr) -> None:
