@@ -2,11 +2,12 @@
 
 The same chains, stamps and contractors as with boxes; only x, y and yaw come from an ellipsoid, one in the map and one
 on Earth: its linear step keeps how they hang together, and so a fix also says something of yaw and bias. In return a
-step's remainder is that of a linearisation. There is no window of fixes.
+step's remainder is that of a linearisation. A window of fixes beside it contradicts where it can, but takes no part.
 
 While yaw isn't known to within a radian no linear map says where the robot goes. Then (before the first fixes, on
-Earth; after the attitude was lost) there is no ellipsoid, and the boxes go on, which hold at any yaw; it begins anew
-from them. So the set stays finite whatever happens: it never grows by more than the way that the robot can have come.
+Earth; after the attitude was lost) there is no ellipsoid, and the boxes go on, which hold at any yaw, with the window
+of fixes, which finds it again; the ellipsoid begins anew from them. So the set stays finite whatever happens: it never
+grows by more than the way that the robot can have come.
 """
 
 from copy import deepcopy
@@ -38,6 +39,52 @@ class NewestFixOnly(GpsWindow):
 
     def remember(self, bias: NDArray[np.float64], slack: float, quantum: float) -> None:
         """Not even this one."""
+
+
+class Witness(NewestFixOnly):
+    """Only the newest fix contracts; a whole window beside it contradicts, and contracts while it is `alone`."""
+
+    def __init__(self, bias_drift: float) -> None:
+        super().__init__(bias_drift)
+        self._whole = GpsWindow(bias_drift)
+        self.alone = True
+
+    def clear(self) -> None:
+        """Forget all fixes."""
+        self._whole.clear()
+
+    def extend(
+        self,
+        step: NDArray[np.float64],
+        axis: NDArray[np.float64],
+        heading: NDArray[np.float64],
+        quantum: float,
+        bias: NDArray[np.float64],
+        now_s: float,
+    ) -> None:
+        """As GpsWindow's."""
+        self._whole.extend(step, axis, heading, quantum, bias, now_s)
+
+    def narrowed(
+        self,
+        antenna: NDArray[np.float64],
+        offset: NDArray[np.float64],
+        heading: NDArray[np.float64],
+        seconds: tuple[float, float],
+        bias: NDArray[np.float64],
+        quantum: float,
+        yaw: NDArray[np.float64],
+        place: NDArray[np.float64],
+    ) -> bool:
+        """As GpsWindow's; False where the whole window leaves nothing."""
+        seen = (yaw, place) if self.alone else (yaw.copy(), place.copy())
+        return self._whole.narrowed(antenna, offset, heading, seconds, bias, quantum, *seen) and (
+            self.alone or super().narrowed(antenna, offset, heading, seconds, bias, quantum, yaw, place)
+        )
+
+    def remember(self, bias: NDArray[np.float64], slack: float, quantum: float) -> None:
+        """Keep it for the whole window."""
+        self._whole.remember(bias, slack, quantum)
 
 
 class PlanarSet:
@@ -72,8 +119,8 @@ class EllipsoidalPosition(PositionChain):
         journal: Journal,
     ) -> None:
         super().__init__(robot, config, encoders, attitude, journal)
-        if not config.wrong_fixes:
-            self.window = NewestFixOnly(attitude.gyro.bias_drift)
+        self._witness = None if config.wrong_fixes else Witness(attitude.gyro.bias_drift)
+        self.window = self._witness or self.window
         self.sets = (PlanarSet(MAP.start, MAP_YAW), PlanarSet(EARTH.start, EARTH_YAW))
 
     def begin(self, ticks: WheelTicks) -> bool:
@@ -162,6 +209,12 @@ class EllipsoidalPosition(PositionChain):
         super().join(other)
         for one in self.sets:
             one.set = None
+
+    def remember(self) -> None:
+        """As PositionChain's. While yaw is lost to the ellipsoids, the window finds it again."""
+        super().remember()
+        if self._witness is not None:
+            self._witness.alone = any(one.set is None for one in self.sets)
 
     def _gyro_node(self) -> int | None:
         """Index of the node at which the ellipsoids' yaw stands, the first one after the newest reading.

@@ -114,7 +114,8 @@ class Filter:
         else:
             found, since_ns = self.faults[-1].contradiction, self.faults[-1].void_since_ns
             self.faults.pop()
-        self.faults.append(Fault(found, likeliest(found.sensor, suspects), suspects, since_ns))
+        stuck = any(poses.gyro_repeats_itself for poses in contradicted)
+        self.faults.append(Fault(found, likeliest(found.sensor, suspects, stuck), suspects, since_ns))
         if first or not suspects:
             self._until_ns = self._now_ns + self._length_ns
         self._void(self.faults[-1])
@@ -248,8 +249,13 @@ class Filter:
         return replace(known[0], low=low, high=high, guarantee=self.guarantee)
 
 
-def likeliest(reported: str, suspects: tuple[str, ...]) -> str:
-    """Whom to name. Wheels slip oftener than a receiver drifts; so GPS is named only where nothing else explains it."""
+def likeliest(reported: str, suspects: tuple[str, ...], stuck_gyro: bool = False) -> str:
+    """Whom to name: a gyroscope that says the same again and again; else who was found, but for GPS.
+
+    Wheels slip oftener than a receiver drifts; so GPS is named only where nothing else explains it.
+    """
+    if stuck_gyro and "gyro" in suspects:
+        return "gyro"
     if reported in suspects and reported != "gps":
         return reported
     for sensor in ("encoders", "gyro", "tilt", "accelerometer", "imu_clock", "gps"):

@@ -156,6 +156,11 @@ class PoseSet:
     # ---------------------------------------------------------------- poses out
 
     @property
+    def gyro_repeats_itself(self) -> bool:
+        """Did the gyroscope say the same again and again, last? A standing one may."""
+        return self._track_yaw.gyro_repeats_itself
+
+    @property
     def begun(self) -> bool:
         """Is there a map frame?"""
         return self._attitude.zeroed

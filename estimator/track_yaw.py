@@ -100,8 +100,13 @@ class TrackYaw:
 
         A track that slips runs further than the ground: tracks that tell of the smaller turn are right.
         """
-        stuck = len({packet.rate for packet in islice(reversed(self._attitude.packets), STUCK_PACKETS)}) == 1
-        return "gyro" if stuck or abs(mid(by_tracks)) < abs(mid(by_gyro)) else "encoders"
+        smaller = abs(mid(by_tracks)) < abs(mid(by_gyro))
+        return "gyro" if self.gyro_repeats_itself or smaller else "encoders"
+
+    @property
+    def gyro_repeats_itself(self) -> bool:
+        """Have its last packets all said the same?"""
+        return len({packet.rate for packet in islice(reversed(self._attitude.packets), STUCK_PACKETS)}) == 1
 
 
 @compiled
