@@ -11,7 +11,7 @@ from collections import Counter, deque
 from collections.abc import Iterable
 from dataclasses import replace
 from math import nan
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,28 +20,13 @@ from drivers.config import EncodersConfig, GpsConfig, ImuConfig
 from drivers.samples import Fix, InertialSample, WheelTicks
 from estimator.bounded_pose import INTACT, Anchor, BoundedPose, Guarantee, PlanarEllipsoid, Status
 from estimator.config import FilterConfig, RobotConfig
-from estimator.inconsistency import SENSORS, SUSPECTS, Contradiction
+from estimator.inconsistency import SENSORS, SUSPECTS, Fault
 from estimator.pose_set import PoseSet
 
 Reading: TypeAlias = WheelTicks | InertialSample | Fix
 EVERY_SENSOR = frozenset(SENSORS)
 MOST_FAULTS = 256
 """So many of the newest faults are remembered."""
-
-
-class Fault(NamedTuple):
-    """A stretch of time with contradictions, and what explains all of them."""
-
-    contradiction: Contradiction
-    """The first."""
-    sensor: str
-    """The likeliest of the suspects."""
-    suspects: tuple[str, ...]
-    """Each of these alone explains all measurements; none: it takes more than one."""
-    void_since_ns: int
-    """As far back as it may have begun: poses that reach from here to the contradiction are withdrawn."""
-    restored_ns: int | None = None
-    """When its sensor was believed again; None while it lasts."""
 
 
 class Filter:

@@ -33,6 +33,21 @@ class Contradiction(NamedTuple):
     unit: str
 
 
+class Fault(NamedTuple):
+    """A stretch of time with contradictions, and what explains all of them."""
+
+    contradiction: Contradiction
+    """The first."""
+    sensor: str
+    """The likeliest of the suspects."""
+    suspects: tuple[str, ...]
+    """Each of these alone explains all measurements; none: it takes more than one."""
+    void_since_ns: int
+    """As far back as it may have begun: poses that reach from here to the contradiction are withdrawn."""
+    restored_ns: int | None = None
+    """When its sensor was believed again; None while it lasts."""
+
+
 class Journal:
     """What happened to one pose set: counts, and the first contradiction since it was last read."""
 

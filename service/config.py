@@ -16,7 +16,7 @@ from drivers.config import STRICT, DevicesConfig, Positive
 from drivers.errors import ConfigurationError
 from estimator.config import FilterConfig, RobotConfig
 from mapper.config import MapConfig
-from service.publisher import PublishConfig
+from service.publish_config import PublishConfig
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

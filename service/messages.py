@@ -16,7 +16,7 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 from estimator.bounded_pose import Anchor, BoundedPose, Guarantee, PlanarEllipsoid, Status
-from estimator.filter import Fault
+from estimator.inconsistency import Fault
 
 MAX_BYTES = 1 << 18
 """Longer messages are refused unread."""

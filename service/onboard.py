@@ -7,28 +7,24 @@ import gc
 import threading
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from drivers.capture import CaptureWriter
 from drivers.clock import Clock
-from drivers.errors import CaptureError, TerraboundError
+from drivers.errors import TerraboundError
 from estimator.bounded_pose import Anchor, BoundedPose, Guarantee
 from mapper.tile import Tile, join
 from service.config import LoadedConfig
-from service.devices import Device, can_frames, wiring
-from service.health import Health
+from service.devices import Device
 from service.map_file import save_map, save_tiles
 from service.map_keeper import EarlierSubmaps, MapKeeper, Unkept
 from service.messages import TileId, fault_values
 from service.pipeline import Pipeline
 from service.publisher import MAP_FRAME, MapUpdate, Publisher
-from service.reader import Reader
+from service.readers import Readers
 from service.rehearsal import rehearse
 from service.rolling_window import RollingWindow
-from service.sample_queue import SampleQueue
 
 IDLE_S = 0.02
 """The pipeline thread looks up this often when no sample comes."""
@@ -87,6 +83,7 @@ class Onboard:
         loaded: LoadedConfig,
         clock: Clock,
         *,
+        readers: Readers | None = None,
         devices: tuple[Device, ...] | None = None,
         capture: Path | None = None,
         on_pose: Callable[[BoundedPose], None] | None = None,
@@ -94,7 +91,9 @@ class Onboard:
         publish: bool = True,
         keep: bool = True,
     ) -> None:
-        """`lockstep`: readers acknowledge their bytes to `clock` once the pipeline has room for more samples.
+        """`readers` None: its own, of `devices` and with `capture`; others may have been started already.
+
+        `lockstep`: readers acknowledge their bytes to `clock` once the pipeline has room for more samples.
 
         `publish` False: nothing leaves the process (a replay's map is wanted, not its stream). `keep` False: nothing
         is saved where the configuration says, neither in a store nor as a file.
@@ -103,9 +102,8 @@ class Onboard:
         self.clock = clock
         self.pipeline = Pipeline(config, on_pose)
         self.laser = config.devices.laser
-        self.queue = SampleQueue()
-        self.devices = wiring(loaded) if devices is None else devices
-        self.health = Health()
+        self.readers = Readers(loaded, clock, devices=devices, capture=capture) if readers is None else readers
+        self.queue, self.health = self.readers.queue, self.readers.health
         self.keeper = self._keeper(loaded) if keep and config.store.path is not None else Unkept()
         about = {"resolution_m": config.map.resolution_m}
         recalled = (self.keeper.recall, config.map.max_tiles) if isinstance(self.keeper, MapKeeper) else ()
@@ -117,7 +115,6 @@ class Onboard:
         self._keep = keep
         self._failure: BaseException | None = None
         self._loaded = loaded
-        self._capture_path = capture
         self._lockstep = lockstep
         self._stopping = threading.Event()
         self._offered_ns = 0
@@ -128,43 +125,32 @@ class Onboard:
         self._save_wanted = threading.Event()
         self._saver: threading.Thread | None = None
         """Writes the map's file in passing."""
-        self._resources = ExitStack()
-        self._readers: list[Reader] = []
         self._thread = threading.Thread(target=self._map, name="pipeline", daemon=True)
 
     @property
     def failure(self) -> BaseException | None:
         """What ended one of the threads early, if anything did: the service is no longer whole."""
-        return next((r.failure for r in self._readers if r.failure is not None), self._failure)
+        return self.readers.failure or self._failure
 
     def start(self) -> None:
         """Open what must be there at once (capture file, network session), then begin to read and map.
 
         Raises CaptureError or LinkError; ports may come and go later.
         """
-        capture = None
-        if self._capture_path is not None:
-            capture = CaptureWriter(
-                self._capture_path, self._loaded.text, self._loaded.dbc_text(), can_frames(self.devices)
-            )
-            self._resources.callback(self._end_recording, capture)
+        if not self.readers.started:
+            self.readers.open_recording()
         rehearse(self._loaded.config)
         # What the start has made stays: the cycle collector need not go through it again and again.
         gc.freeze()
         self.pipeline.map.submap = self.publisher.submap = self.keeper.start()
         self.publisher.start()
         self._thread.start()
-        acknowledge = self._acknowledge if self._lockstep else None
-        self._readers = [
-            Reader(device, self.clock, self.queue, self.health, capture, acknowledge) for device in self.devices
-        ]
-        for reader in self._readers:
-            reader.start()
+        if not self.readers.started:
+            self.readers.start(self._acknowledge if self._lockstep else None)
 
     def stop(self, flush_s: float = 2.0) -> None:
         """End in order: ports, pipeline, saved map, last tiles, capture."""
-        for reader in self._readers:
-            reader.stop()
+        self.readers.stop()
         self._stopping.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -177,14 +163,20 @@ class Onboard:
             self.publisher.flush(flush_s)
             self.publisher.close()
             self.keeper.close()
-            self._resources.close()
+            self.readers.end_recording()
 
     def finish(self) -> None:
         """The stream has ended, but the publisher lives on: readers stop, the pipeline uses what it still holds."""
-        for reader in self._readers:
-            reader.stop()
+        self.readers.stop()
         self._stopping.set()
         self._thread.join()
+
+    def status_line(self) -> str:
+        """Devices, scans, cells, pose width: for systemctl and for terminals."""
+        pose, terrain = self.pipeline.filter.latest(), self.pipeline.map
+        width = "no pose yet" if pose is None else f"pose +-{50 * float((pose.high[:3] - pose.low[:3]).max()):.0f} cm"
+        mapped = f"{self.pipeline.counts['scans']} scans, {terrain.cells_seen} cells"
+        return f"{self.health.status_line(time.monotonic_ns())} | {mapped} | {width}"
 
     def save_map(self, path: Path | None = None) -> None:
         """Write the map to `path`, or to where the configuration wants it. Call it once the pipeline has ended."""
@@ -197,13 +189,6 @@ class Onboard:
         """Where the configuration wants the map's file."""
         wanted = self._loaded.config.store.map
         return None if wanted is None else self._loaded.path(wanted)
-
-    def _end_recording(self, capture: CaptureWriter) -> None:
-        """Close the capture; where the disk refuses its index, the recording replays without it."""
-        try:
-            capture.close()
-        except CaptureError as error:
-            self.health.trouble("recording", str(error))
 
     def _save_in_passing(self) -> None:
         """Copy the map, and have a thread write it: nothing else waits for the disk. One at a time."""

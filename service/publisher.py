@@ -10,16 +10,13 @@ import secrets
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass as plain_dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from math import inf
-from typing import Annotated, Any
+from typing import Any
 
 import zenoh
-from pydantic import Field
-from pydantic.dataclasses import dataclass
 
-from drivers.config import STRICT, Positive
 from drivers.errors import LinkError
 from estimator.bounded_pose import INTACT, Anchor, BoundedPose, Guarantee
 from mapper.tile import Tile
@@ -36,8 +33,10 @@ from service.messages import (
     write_plain,
     write_pose,
 )
+from service.publish_config import PublishConfig
 from service.published_map import EarlierSubmap, PublishedMap, Recall, nothing_kept
 from service.session import AddressAway, open_session
+from service.token_bucket import TokenBucket
 from service.topics import (
     ANCHOR,
     ANCHOR_OF,
@@ -62,25 +61,7 @@ MAX_QUERIES = 256
 START_TIMEOUT_S = 15.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
-class PublishConfig:
-    """Where and how often the map is published."""
-
-    listen: Sequence[str] = ("tcp/127.0.0.1:7447",)
-    """Zenoh addresses at which subscribers connect, as tcp/0.0.0.0:7447."""
-    connect: Sequence[str] = ()
-    """Zenoh routers to connect to."""
-    digest_period_s: Positive = 1.0
-    """How often subscribers learn what they may have missed."""
-    pose_rate_hz: Annotated[float, Field(gt=0, le=1000)] = 10.0
-    health_period_s: Positive = 1.0
-    max_bytes_per_s: Annotated[float, Field(ge=10_000)] = 10e6
-    """Tiles and answers together stay below this: set it below what the radio carries."""
-    multicast: bool = False
-    """Announce the robot on the local network, so that subscribers need no address."""
-
-
-@plain_dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class MapUpdate:
     """What the pipeline hands over."""
 
@@ -98,28 +79,7 @@ class MapUpdate:
     """No beam in the tiles is newer."""
 
 
-class TokenBucket:
-    """Keeps a mean rate: a message may go while tokens are left, and may leave a debt to be waited out."""
-
-    def __init__(self, per_s: float) -> None:
-        self._per_s = per_s
-        self._burst = min(per_s, max(65536.0, 0.05 * per_s))
-        self._tokens = self._burst
-        self._filled_s: float | None = None
-
-    def delay_s(self, now_s: float) -> float:
-        """How long until the next message may go; 0 now."""
-        if self._filled_s is not None:
-            self._tokens = min(self._burst, self._tokens + (now_s - self._filled_s) * self._per_s)
-        self._filled_s = now_s
-        return 0.0 if self._tokens > 0 else (1.0 - self._tokens) / self._per_s
-
-    def spend(self, size: int) -> None:
-        """A message of `size` bytes went."""
-        self._tokens -= size
-
-
-@plain_dataclass(slots=True)
+@dataclass(slots=True)
 class _Answer:
     """A question, and the keys still to be sent for it."""
 

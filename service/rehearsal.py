@@ -8,7 +8,6 @@ from math import nan
 
 import numpy as np
 
-from drivers.checksums import lms_crc
 from drivers.samples import ABSENT3, Fix, InertialSample, Sample, Scan, Stamp, WheelTicks
 from service.config import Config
 from service.pipeline import Pipeline
@@ -30,12 +29,11 @@ def rehearse(config: Config) -> None:
         for device, sample in _samples(at_ms, max(at_ms - still_ms, 0)):
             pipeline.step(Arrival(device, sample, 0))
     pipeline.finish()
-    # What is asked of a map beside inserting, and of the laser's bytes.
+    # What is asked of a map beside inserting.
     pipeline.map.take_dirty()
     pipeline.map.evict(map(tuple, pipeline.map.places()[:1].tolist()))
     assert pipeline.map.cells_seen
     assert pipeline.map.mean_width_m > 0.0
-    lms_crc(np.zeros(4, np.uint8), 0, 4)
 
 
 def _samples(at_ms: int, driven_ms: int) -> list[tuple[str, Sample]]:

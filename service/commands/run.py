@@ -4,13 +4,16 @@ import sys
 import time
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from drivers.clock import SystemClock
-from service.config import load
+from service.config import LoadedConfig, load
 from service.health import Health
 from service.lifecycle import ServiceNotifier, stop_on_signals
-from service.onboard import Onboard
-from service.status_line import status_line
+from service.readers import Readers
+
+if TYPE_CHECKING:
+    from service.onboard import Onboard
 
 TICK_S = 0.5
 
@@ -31,14 +34,16 @@ def run(*, config: Path) -> int:
     notifier = ServiceNotifier()
     with stop_on_signals() as ended:
         capture = None if record is None else unused_path(loaded.path(record), datetime.now(UTC))
-        onboard = Onboard(loaded, SystemClock(), capture=capture)
-        onboard.start()
+        readers = Readers(loaded, SystemClock(), capture=capture)
+        readers.open_recording()
+        readers.start()
+        onboard = _onboard(loaded, readers)
         notifier.ready()
         console = _Console(onboard.health)
         saved_ns = time.monotonic_ns()
         while not ended.wait(TICK_S) and onboard.failure is None:
             now_ns = time.monotonic_ns()
-            line = status_line(onboard)
+            line = onboard.status_line()
             notifier.status(line)
             notifier.feed(now_ns, onboard.health.flowing(now_ns))
             console.show(line)
@@ -51,6 +56,20 @@ def run(*, config: Path) -> int:
     if onboard.failure is not None:
         raise onboard.failure
     return 0
+
+
+def _onboard(loaded: LoadedConfig, readers: Readers) -> "Onboard":
+    """Filter, map and publisher, started. Their code is loaded now: meanwhile the sensors are read already."""
+    from service.onboard import Onboard
+
+    try:
+        onboard = Onboard(loaded, readers.clock, readers=readers)
+        onboard.start()
+    except BaseException:
+        readers.stop()
+        readers.end_recording()
+        raise
+    return onboard
 
 
 def unused_path(pattern: Path, now: datetime) -> Path:

@@ -23,7 +23,8 @@ from mapper.tile import Tile, join, snap_outward
 from mapper.tile_codec import encode
 from service.client import RemoteMap
 from service.messages import GuaranteeMessage, TileId, TileNote, write
-from service.publisher import MapUpdate, PublishConfig, Publisher
+from service.publish_config import PublishConfig
+from service.publisher import MapUpdate, Publisher
 from service.session import open_session
 from service.topics import robot_key, tile_key
 
@@ -503,7 +504,8 @@ def test_a_process_with_an_open_copy_ends_by_itself() -> None:
     program = (
         "import sys\n"
         "from service.client import RemoteMap\n"
-        "from service.publisher import Publisher, PublishConfig\n"
+        "from service.publisher import Publisher\n"
+        "from service.publish_config import PublishConfig\n"
         "publisher = Publisher(PublishConfig(listen=[sys.argv[1]]), 'rover')\n"
         "publisher.start()\n"
         "remote = RemoteMap(sys.argv[1])\n"

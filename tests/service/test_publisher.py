@@ -27,8 +27,10 @@ from service.messages import (
     read_anchor,
     read_pose,
 )
-from service.publisher import MapUpdate, PublishConfig, Publisher, TokenBucket
+from service.publish_config import PublishConfig
+from service.publisher import MapUpdate, Publisher
 from service.session import open_session, with_send_buffer
+from service.token_bucket import TokenBucket
 from service.topics import GRID, parse_tile_key, robot_key, tile_key
 
 WAIT_S = 20.0

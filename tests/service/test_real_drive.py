@@ -60,7 +60,7 @@ def test_a_real_drive_is_mapped_through_the_ports_with_nothing_lost(
     """Every recorded scan and count of five seconds arrives; the scans are mapped; no bound is contradicted."""
     result = example.drive(recording, example.configuration(tmp_path), SECONDS)
     onboard = result.onboard
-    encoders, inertia, laser = (reader.protocol.counts for reader in onboard._readers)
+    encoders, inertia, laser = (reader.protocol.counts for reader in onboard.readers)
     assert result.scans_sent > 85
     assert result.frames_sent > 400
     assert encoders["ticks"] == result.frames_sent

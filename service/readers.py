@@ -1,0 +1,87 @@
+"""All devices' readers, the queue that they fill, the health that they report to, and the recording that they keep.
+
+They need nothing of filter and map: the service starts them first, and reads its sensors while it loads the rest.
+"""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from drivers.capture import CaptureWriter
+from drivers.checksums import lms_crc
+from drivers.clock import Clock
+from drivers.errors import CaptureError
+from drivers.unlocked_read import compile_read
+from service.config import LoadedConfig
+from service.devices import Device, can_frames, wiring
+from service.health import Health
+from service.reader import Reader
+from service.sample_queue import SampleQueue
+
+
+class Readers:
+    """The sensors' side of the service, between `start` and `stop`."""
+
+    def __init__(
+        self,
+        loaded: LoadedConfig,
+        clock: Clock,
+        *,
+        devices: tuple[Device, ...] | None = None,
+        capture: Path | None = None,
+    ) -> None:
+        """`devices` None: as configured. `capture`: record all bytes there."""
+        self.clock = clock
+        self.devices = wiring(loaded) if devices is None else devices
+        self.queue = SampleQueue()
+        self.health = Health()
+        self._loaded = loaded
+        self._capture_path = capture
+        self._capture: CaptureWriter | None = None
+        self._readers: list[Reader] = []
+
+    def __iter__(self) -> Iterator[Reader]:
+        return iter(self._readers)
+
+    @property
+    def started(self) -> bool:
+        """Do they read?"""
+        return bool(self._readers)
+
+    @property
+    def failure(self) -> BaseException | None:
+        """What ended one of them early, if anything did."""
+        return next((reader.failure for reader in self._readers if reader.failure is not None), None)
+
+    def open_recording(self) -> None:
+        """Create the capture's file. CaptureError where that can't be."""
+        if self._capture_path is not None:
+            framed = can_frames(self.devices)
+            self._capture = CaptureWriter(self._capture_path, self._loaded.text, self._loaded.dbc_text(), framed)
+
+    def start(self, acknowledge: Callable[[str, int], None] | None = None) -> None:
+        """Open the ports and begin; ports may come and go later. `acknowledge`: see Reader."""
+        # All machine code that readers use must be there: one that compiles and a thread that imports could block each
+        # other.
+        compile_read()
+        lms_crc(np.zeros(4, np.uint8), 0, 4)
+        self._readers = [
+            Reader(device, self.clock, self.queue, self.health, self._capture, acknowledge) for device in self.devices
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    def stop(self) -> None:
+        """Close the ports; what was read stays in the queue."""
+        for reader in self._readers:
+            reader.stop()
+
+    def end_recording(self) -> None:
+        """Close the capture; where the disk refuses its index, the recording replays without it."""
+        capture, self._capture = self._capture, None
+        try:
+            if capture is not None:
+                capture.close()
+        except CaptureError as error:
+            self.health.trouble("recording", str(error))
