@@ -194,6 +194,7 @@ def test_kill_9_loses_nothing_that_was_saved_and_mapping_resumes(
         for place, tile in tiles.items():
             assert join(remote.tiles[place], tile) == remote.tiles[place]
         wait_until(lambda: 0 in remote.anchors, run)
+        wait_until(lambda: "store" in remote.health and "submap" in remote.info, run)
         assert remote.info["submap"] == 1
         assert remote.health["store"]["found_clean"] is True
         code, said = end(run)
