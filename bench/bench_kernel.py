@@ -71,11 +71,12 @@ def rough_scan() -> Scan:
 class NumpyMap:
     """The same map in numpy: boxes for all beams at once, then all touched cells of two dense layers at once."""
 
-    def __init__(self, half_side: int = 1024) -> None:
+    def __init__(self, half_side: int = 1024, resolution_m: float = RESOLUTION_M, laser: LaserConfig = LASER) -> None:
         self.neg_low = np.full((2 * half_side, 2 * half_side), -np.inf, np.float32)
         self.high = self.neg_low.copy()
         self.origin = half_side
-        self.geometry, self.work, self.pose = laser_geometry(LASER), np.empty((W_ROWS, 4)), np.empty(P_SIZE)
+        self.inverse = 1.0 / resolution_m
+        self.geometry, self.work, self.pose = laser_geometry(laser), np.empty((W_ROWS, 4)), np.empty(P_SIZE)
 
     def insert(self, scan: Scan, low: Floats, high: Floats) -> None:
         """Take a scan with one pose for all beams."""
@@ -99,8 +100,8 @@ class NumpyMap:
         centre = part(P_CENTRE, 1) + r[:, None] * u
         z = np.stack((half[:, 2] - centre[:, 2], centre[:, 2] + half[:, 2]))
         neg_low, top = (z + np.abs(z) * 2.0**-23 + 2.0**-100).astype(np.float32)
-        first = np.floor((centre - half)[:, :2] * 20.0).astype(np.int64) + self.origin
-        last = np.floor((centre + half)[:, :2] * 20.0).astype(np.int64) + self.origin + 1
+        first = np.floor((centre - half)[:, :2] * self.inverse).astype(np.int64) + self.origin
+        last = np.floor((centre + half)[:, :2] * self.inverse).astype(np.int64) + self.origin + 1
         columns, count = (last - first)[:, 0], np.prod(last - first, axis=1)
         beam_of = np.repeat(np.arange(r.size), count)
         nth = np.arange(beam_of.size) - np.repeat(np.cumsum(count) - count, count)

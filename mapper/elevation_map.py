@@ -17,15 +17,16 @@ from drivers.config import LaserConfig
 from drivers.samples import Scan
 from estimator.config import RobotConfig
 from mapper import kernel, tile_layers
+from mapper.beam_order import BeamOrder, plain, rising
 from mapper.config import MapConfig
 from mapper.contact import insert_patches, track_patches
 from mapper.grid import TILE_SIDE, tile_indices, tile_key
-from mapper.projection import B_SIZE, G_SIZE, LANES, P_SIZE, Floats, beam_table, laser_geometry
+from mapper.projection import B_SIZE, G_SIZE, LANES, P_SIZE, Floats, laser_geometry
 from mapper.tile import NO_CELL, NOWHERE, Tile, sealed_tile, unseen_tile
 
 _MAP_NORESERVE = 0x4000
 """Linux's; Python names it from 3.13 on."""
-_FLOAT64, _INT32 = np.dtype(np.float64), np.dtype(np.int32)
+_FLOAT64 = np.dtype(np.float64)
 _TILES_AT_A_TIME = 64
 """So many tiles (2 MiB) are made ready together ..."""
 _TILES_SPARE = 16
@@ -60,8 +61,7 @@ class ElevationMap:
         self.config = config
         self.submap = submap
         self._geometry = laser_geometry(laser)
-        self._beam_angles = (0, 0.0, 0.0)
-        self._directions = np.empty((2, 0))
+        self._order = BeamOrder()
         self._poses = np.empty((1, P_SIZE))
         self._scratch = np.zeros(kernel.WORK_SIZE + B_SIZE)
         self._spans = np.zeros(kernel.S_SIZE, np.int32)
@@ -93,14 +93,8 @@ class ElevationMap:
         low, high: [m, 6] in the map frame, axes as estimator.bounded_pose.AXES. pose_index: [n], n = beams; a number
         outside 0..m-1 means that the beam has no pose.
         """
-        self._turn_to(scan)
-        self._insert(
-            self._plane(scan.stamp.earliest_ns),
-            _plain(scan.ranges_m, _FLOAT64),
-            _plain(pose_index, _INT32),
-            _plain(low, _FLOAT64),
-            _plain(high, _FLOAT64),
-        )
+        ranges = self._order.ranges(scan, pose_index)
+        self._insert(self._plane(scan.stamp.earliest_ns), ranges, plain(low, _FLOAT64), plain(high, _FLOAT64))
         numbers = self._numbers.tolist()
         if numbers[kernel.N_READY] - numbers[kernel.N_TILES] < _TILES_SPARE:
             self._make_ready()
@@ -203,7 +197,8 @@ class ElevationMap:
 
     def _compile(self) -> None:
         """Do everything once with nothing, so that the machine code is there: no scan and no tile waits for it."""
-        self._insert(0, np.empty(0), np.empty(0, np.int32), np.zeros((1, 6)), np.zeros((1, 6)))
+        rising(self._order.pose_index)
+        self._insert(0, np.empty(0), np.zeros((1, 6)), np.zeros((1, 6)))
         self.insert_contact(0, np.full(6, np.nan), np.full(6, np.nan))
         self._layers(0)
         nothing, no_room = unseen_tile(self.submap, 0, 0, 1.0), np.zeros(kernel.N_SIZE, np.int64)
@@ -218,19 +213,18 @@ class ElevationMap:
         slots = self.config.evidence_slots
         return 1 + time_ns // self._slot_ns % slots if slots else 0
 
-    def _insert(self, plane: int, ranges: Floats, pose_index: NDArray[np.int32], low: Floats, high: Floats) -> None:
-        if pose_index.shape != ranges.shape or low.shape != high.shape or low.shape[1:] != (6,):
-            raise ValueError(
-                f"need pose_index [{ranges.size}] and low, high [m, 6]; "
-                f"got {list(pose_index.shape)}, {list(low.shape)}, {list(high.shape)}"
-            )
+    def _insert(self, plane: int, ranges: Floats, low: Floats, high: Floats) -> None:
+        """Beams in the order that `self._order` is in."""
+        if low.shape != high.shape or low.shape[1:] != (6,):
+            raise ValueError(f"need low, high [m, 6]; got {list(low.shape)}, {list(high.shape)}")
+        order = self._order
         if len(low) > len(self._poses):
             self._poses = np.empty((len(low), P_SIZE))
         done, beams = 0, len(ranges)
         while True:
             # fmt: off
             done = kernel.insert_beams(
-                done, ranges, self._directions, pose_index, low, high,
+                done, ranges, order.directions, order.pose_index, low, high,
                 self._geometry, self.config.resolution_m, self.config.max_footprint_m, plane,
                 self._poses, self._scratch, self._spans, self._heights,
                 self._numbers, self._table, self._keys, self._dirty, self._pool, self._sure,
@@ -239,14 +233,6 @@ class ElevationMap:
             if done == beams:
                 return
             self._make_ready()
-
-    def _turn_to(self, scan: Scan) -> None:
-        """Have the sines and cosines of this scan's beams (the scanner rarely changes its angles)."""
-        beam_angles = (scan.ranges_m.size, scan.angle_min_rad, scan.angle_increment_rad)
-        if beam_angles != self._beam_angles:
-            self._directions = np.empty((2, beam_angles[0]))
-            beam_table(scan.angle_min_rad, scan.angle_increment_rad, *self._directions)
-            self._beam_angles = beam_angles
 
     def _tile(self, index: int) -> Tile:
         ix, iy = tile_indices(int(self._keys[index]))
@@ -283,10 +269,3 @@ def _untouched_pool(tiles: int, planes: int) -> kernel.Cells:
     # The last block of the last row may reach beyond.
     memory = mmap.mmap(-1, tiles * planes * kernel.TILE_BYTES + mmap.PAGESIZE, flags=flags)
     return np.frombuffer(memory, np.float32, prod(shape)).reshape(shape)
-
-
-def _plain(array: NDArray[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """The array as the compiled code knows it: another layout, type or a read-only one would compile again, live."""
-    if array.dtype is dtype and array.flags.carray:
-        return array
-    return np.array(array, dtype=dtype, order="C")

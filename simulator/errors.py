@@ -29,7 +29,7 @@ _WHICH_LAW = 1 << 62
 
 
 @compiled
-def _random(key: int, index: int) -> float:
+def chance(key: int, index: int) -> float:
     """A number in [0, 1) that depends on nothing but its arguments (the finaliser of splitmix64)."""
     x = np.uint64(key) + np.uint64(index) * np.uint64(0x9E3779B97F4A7C15)
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -41,7 +41,7 @@ def _random(key: int, index: int) -> float:
 @compiled
 def followed(law: int, key: int) -> int:
     """The law that a channel follows: under `mixed` one that its key names."""
-    return int(_random(key, _WHICH_LAW) * _MIXED) if law == _MIXED else law
+    return int(chance(key, _WHICH_LAW) * _MIXED) if law == _MIXED else law
 
 
 @compiled
@@ -49,15 +49,15 @@ def draw(law: int, key: int, t_ns: int) -> float:
     """Error at time t_ns as a share of the bound, in [-1, 1]."""
     law = followed(law, key)
     if law == _UNIFORM:
-        return 2.0 * _random(key, t_ns) - 1.0
+        return 2.0 * chance(key, t_ns) - 1.0
     if law == _CORNERS:
-        return 1.0 if _random(key, t_ns) < 0.5 else -1.0
+        return 1.0 if chance(key, t_ns) < 0.5 else -1.0
     if law == _CONSTANT:
-        return 1.0 if _random(key, 0) < 0.5 else -1.0
+        return 1.0 if chance(key, 0) < 0.5 else -1.0
     if law == _DRIFT:
-        phase = (t_ns / DRIFT_PERIOD_NS + _random(key, 0)) % 1.0
+        phase = (t_ns / DRIFT_PERIOD_NS + chance(key, 0)) % 1.0
         return 4.0 * abs(phase - 0.5) - 1.0
-    return 1.0 if _random(key, t_ns // SWITCH_SLOT_NS) < 0.5 else -1.0
+    return 1.0 if chance(key, t_ns // SWITCH_SLOT_NS) < 0.5 else -1.0
 
 
 @compiled

@@ -14,7 +14,7 @@ from drivers.compiled import compiled
 
 Array = NDArray[np.float64]
 
-SCENES = ("flat", "ramp", "stairs", "rough", "yard", "dem")
+SCENES = ("flat", "ramp", "stairs", "rough", "yard", "dem", "paper_stairs", "paper_snow")
 
 STEP_RISE_M = 0.14
 STEP_TREAD_M = 0.34
@@ -75,6 +75,8 @@ class Terrain:
     course: Course
     source: str = ""
     """File the heights were read from, for `dem`."""
+    lost_echoes: float = 0.0
+    """Share of the beams that never come back, whatever they meet."""
 
     def height(self, x: Array, y: Array) -> Array:
         """Top surface at (x, y), arrays of one shape; NaN outside the grid."""
@@ -146,6 +148,10 @@ def build_terrain(scene: str, seed: int = 1, source: Path | str | None = None) -
         if source is None:
             raise ValueError("the scene dem needs the file of an elevation model")
         return _dem(seed, Path(source))
+    if scene in ("paper_stairs", "paper_snow"):
+        from simulator import paper_scenes  # it is made of what stands here
+
+        return paper_scenes.paper_stairs(seed) if scene == "paper_stairs" else paper_scenes.paper_snow(seed)
     raise ValueError(f"no scene is called {scene!r}; there are {', '.join(SCENES)}")
 
 

@@ -13,7 +13,7 @@ Times are true nanoseconds on the host's clock; the drive begins when `begin_dri
 stands still.
 """
 
-from math import cos, isinf, radians, sin
+from math import cos, inf, isinf, radians, sin
 
 import numpy as np
 import pymap3d
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from drivers.compiled import compiled
 from drivers.config import DevicesConfig, GpsConfig
 from drivers.samples import Vector3
-from simulator.errors import ErrorLaw, draw, wander
+from simulator.errors import ErrorLaw, chance, draw, wander
 from simulator.raycast import cast_rays
 from simulator.robot import STEP_NS, RobotModel, plan_drive, rotations
 from simulator.terrain import Terrain
@@ -119,6 +119,7 @@ class World:
         self._mount_rotation = np.ascontiguousarray(rotations(self.true_mount[np.newaxis])[0])
         self._range_channel = self.law.channel("laser.range")
         self._angle_channel = self.law.channel("laser.angle")
+        self._echo_channel = self.law.channel("laser.echo")
         self._range_bound = max(laser.range_bound_m - RANGE_MARGIN_M[laser.unit], 0.0)
         self._angle_bound = radians(laser.angle_bound_deg)
 
@@ -166,6 +167,8 @@ class World:
             self._range_bound,
             self._angle_channel.key,
             self._angle_bound,
+            terrain.lost_echoes,
+            self._echo_channel.key,
             ranges,
             hits,
         )
@@ -335,6 +338,8 @@ def _shoot(
     range_bound: float,
     angle_key: int,
     angle_bound: float,
+    lost: float,
+    echo_key: int,
     ranges: Array,
     hits: Array,
 ) -> None:
@@ -369,3 +374,5 @@ def _shoot(
             hits[i, axis] = origins[i, axis] + ranges[i] * directions[i, axis]
         if not isinf(ranges[i]):
             ranges[i] = max(ranges[i] + range_bound * draw(law, range_key, since_start_ns[i]), 0.0)
+        if lost > 0.0 and chance(echo_key, since_start_ns[i]) < lost:
+            ranges[i] = inf

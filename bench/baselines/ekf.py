@@ -1,8 +1,8 @@
 """The filter that everybody knows: an extended Kalman filter on the same readings.
 
 State (x, y, z, roll, pitch, yaw, the gyroscope's three biases) on Earth. The declared bounds are taken for uniform
-distributions, so a standard deviation is bound / sqrt 3: the usual reading of a data sheet. Its three-sigma box is no
-bound, only what people take for one.
+distributions, so a standard deviation is bound / sqrt 3: the usual reading of a data sheet (`bound_sigmas` changes
+it). Its three-sigma box is no bound, only what people take for one.
 """
 
 from dataclasses import dataclass, field
@@ -31,11 +31,13 @@ class ExtendedKalmanFilter:
     covariance: Array
     quantum_m: float
     """Of one track's count."""
+    bound_sigmas: float = SQRT3
+    """So many standard deviations is a declared bound."""
     _gyro_variance: float = field(init=False)
 
     def __post_init__(self) -> None:
-        self._gyro_variance = (radians(self.imu.gyro_noise_bound_dps) / SQRT3) ** 2
-        bias = radians(self.imu.gyro_bias_bound_dps) / SQRT3
+        self._gyro_variance = (radians(self.imu.gyro_noise_bound_dps) / self.bound_sigmas) ** 2
+        bias = radians(self.imu.gyro_bias_bound_dps) / self.bound_sigmas
         self.covariance[6:, 6:] = np.eye(3) * bias**2
 
     def predict(self, left_m: float, right_m: float, gyro_rps: tuple[float, float, float], seconds: float) -> None:
@@ -65,11 +67,11 @@ class ExtendedKalmanFilter:
         along = np.outer(r1, r1) * slip**2
         across = np.outer(r2, r2) * lateral**2 + np.outer(r3, r3) * (robot.normal_slip_ratio * d) ** 2
         noise = np.zeros((STATES, STATES))
-        noise[:3, :3] = (along + across) / 3.0
-        scale = (self.imu.gyro_scale_bound / SQRT3) ** 2 * np.array([wx, wy, wz]) ** 2
+        noise[:3, :3] = (along + across) / self.bound_sigmas**2
+        scale = (self.imu.gyro_scale_bound / self.bound_sigmas) ** 2 * np.array([wx, wy, wz]) ** 2
         rates = np.diag(self._gyro_variance * seconds**2 + scale)
         noise[3:6, 3:6] = to_angles @ rates @ to_angles.T
-        noise[6:, 6:] = np.eye(3) * (radians(self.imu.gyro_bias_drift_dps2) / SQRT3 * seconds) ** 2
+        noise[6:, 6:] = np.eye(3) * (radians(self.imu.gyro_bias_drift_dps2) / self.bound_sigmas * seconds) ** 2
 
         x[:3] += d * r1
         x[3:6] += wx + tt * p, q, p / ct
@@ -78,13 +80,13 @@ class ExtendedKalmanFilter:
     def correct_tilt(self, roll: float, pitch: float) -> None:
         """Roll and pitch, both directly."""
         if not isnan(roll):
-            sigma = radians(self.imu.tilt_bound_deg) / SQRT3
+            sigma = radians(self.imu.tilt_bound_deg) / self.bound_sigmas
             self._scalar(roll - self.state[3], np.eye(STATES)[3], sigma)
             self._scalar(pitch - self.state[4], np.eye(STATES)[4], sigma)
 
     def correct_accelerometers(self, ahead: float, left: float) -> None:
         """f_x = -g sin(pitch), f_y = g cos(pitch) sin(roll), the robot's own acceleration taken for noise."""
-        sigma = (self.imu.accel_bound_mps2 + self.robot.max_acceleration_mps2) / SQRT3
+        sigma = (self.imu.accel_bound_mps2 + self.robot.max_acceleration_mps2) / self.bound_sigmas
         h = np.zeros(STATES)
         h[4] = -GRAVITY * cos(self.state[4])
         self._scalar(ahead + GRAVITY * sin(self.state[4]), h, sigma)
@@ -93,10 +95,16 @@ class ExtendedKalmanFilter:
         h[3], h[4] = GRAVITY * cos(pitch) * cos(roll), -GRAVITY * sin(pitch) * sin(roll)
         self._scalar(left - GRAVITY * cos(pitch) * sin(roll), h, sigma)
 
+    def correct_rest(self, gyro_rps: tuple[float, float, float], rate_bound_rps: float) -> None:
+        """The robot stands still: what the gyroscope says is its bias, up to noise and `rate_bound_rps`."""
+        sigma = (radians(self.imu.gyro_noise_bound_dps) + rate_bound_rps) / self.bound_sigmas
+        for axis, rate in enumerate(gyro_rps):
+            self._scalar(rate - self.state[6 + axis], np.eye(STATES)[6 + axis], sigma)
+
     def correct_position(self, enu: Array, bound: tuple[float, float, float]) -> None:
         """A fix of base_link itself."""
         for axis in range(3):
-            self._scalar(enu[axis] - self.state[axis], np.eye(STATES)[axis], bound[axis] / SQRT3)
+            self._scalar(enu[axis] - self.state[axis], np.eye(STATES)[axis], bound[axis] / self.bound_sigmas)
 
     def three_sigma(self) -> Array:
         """[6] of the pose."""

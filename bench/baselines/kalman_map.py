@@ -22,8 +22,9 @@ from drivers.compiled import compiled, compiled_unlocked
 from drivers.config import LaserConfig
 from drivers.samples import Scan
 from mapper import kernel
+from mapper.beam_order import BeamOrder
 from mapper.grid import CELL_LIMIT, TILE_SHIFT, TILE_SIDE, tile_key
-from mapper.projection import LANES, beam_table, laser_geometry, run_length, usable_range
+from mapper.projection import LANES, laser_geometry, run_length, usable_range
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -121,8 +122,7 @@ class KalmanMap:
         self.travelled_m = 0.0
         self._bound_sigmas, self._growth = bound_sigmas, growth_m2_per_m
         self._geometry = laser_geometry(laser)
-        self._beam_angles = (0, 0.0, 0.0)
-        self._directions = np.empty((2, 0))
+        self._order = BeamOrder()
         self._poses, self._work = np.empty((64, Q_SIZE)), np.empty((W_GAUSS, 6))
         self._points = np.zeros(N_SIZE)
 
@@ -133,15 +133,12 @@ class KalmanMap:
 
     def insert(self, scan: Scan, mean: Floats, covariance: Floats, pose_index: Indices) -> None:
         """Take a scan in whose beam i was shot from N(mean, covariance)[pose_index[i]]; set `travelled_m` before."""
-        angles = (scan.ranges_m.size, scan.angle_min_rad, scan.angle_increment_rad)
-        if angles != self._beam_angles:
-            self._directions = np.empty((2, angles[0]))
-            beam_table(scan.angle_min_rad, scan.angle_increment_rad, *self._directions)
-            self._beam_angles = angles
+        order = self._order
+        ranges = order.ranges(scan, pose_index)
         layers = self.layers
         # fmt: off
         fuse_beams(
-            scan.ranges_m, self._directions, pose_index, mean, covariance,
+            ranges, order.directions, order.pose_index, mean, covariance,
             self._geometry, self._bound_sigmas, self.resolution_m, self.travelled_m, self._growth,
             self._poses, self._work, self._points, layers.numbers, layers.table, layers.keys, layers.pool,
         )

@@ -22,6 +22,7 @@ from drivers.compiled import compiled, compiled_unlocked
 from drivers.config import LaserConfig
 from drivers.samples import Scan
 from mapper import kernel
+from mapper.beam_order import BeamOrder
 from mapper.grid import TILE_SIDE
 from mapper.projection import (
     B_SIZE,
@@ -29,7 +30,6 @@ from mapper.projection import (
     LANES,
     P_SIZE,
     W_ROWS,
-    beam_table,
     laser_geometry,
     prepare_pose,
     run_length,
@@ -40,14 +40,13 @@ Indices = NDArray[np.int32]
 
 
 @compiled
-def interval_table(angle_min_rad: float, angle_increment_rad: float, bound_rad: float, out: Floats) -> None:
-    """[4, n] bounds of the cosine, then of the sine, of each beam's angle."""
+def interval_table(directions: Floats, bound_rad: float, out: Floats) -> None:
+    """[4, n] bounds of the cosine, then of the sine, of each beam's angle; directions [2, n]."""
     quarter = 0.5 * np.pi
     for i in range(out.shape[1]):
-        low, high = angle_min_rad + i * angle_increment_rad - bound_rad, angle_min_rad + i * angle_increment_rad
-        high += bound_rad
-        out[0, i], out[1, i] = cosine_bounds(low, high)
-        out[2, i], out[3, i] = cosine_bounds(low - quarter, high - quarter)
+        angle = np.arctan2(directions[1, i], directions[0, i])
+        out[0, i], out[1, i] = cosine_bounds(angle - bound_rad, angle + bound_rad)
+        out[2, i], out[3, i] = cosine_bounds(angle - bound_rad - quarter, angle + bound_rad - quarter)
 
 
 @compiled_unlocked
@@ -118,8 +117,8 @@ class LiteralMap:
             [radians(laser.mount_roll_deg), -radians(laser.mount_pitch_deg), radians(laser.mount_yaw_deg)]
         )
         self._max_footprint_m = max_footprint_m
-        self._beam_angles = (0, 0.0, 0.0)
-        self._directions = np.empty((4, 0))
+        self._order = BeamOrder()
+        self._directions, self._table = np.empty((2, 0)), np.empty((4, 0))
         self._poses = np.empty((64, max(P_SIZE, I_SIZE)))
         self._matrices, self._work = np.empty((5, 3, 3, 2)), np.empty((W_ROWS, 4))
         self._block = np.zeros(B_SIZE)
@@ -130,19 +129,16 @@ class LiteralMap:
 
     def insert(self, scan: Scan, low: Floats, high: Floats, pose_index: Indices) -> None:
         """Take a scan in whose beam i was shot from the pose box [low, high][pose_index[i]]."""
-        angles = (scan.ranges_m.size, scan.angle_min_rad, scan.angle_increment_rad)
-        if angles != self._beam_angles:
-            self._directions = np.empty((4, angles[0]))
-            if self._natural:
-                bound = float(self._geometry[G_SCAN_BOUND])
-                interval_table(scan.angle_min_rad, scan.angle_increment_rad, bound, self._directions)
-            else:
-                beam_table(scan.angle_min_rad, scan.angle_increment_rad, *self._directions[:2])
-            self._beam_angles = angles
+        order = self._order
+        ranges = order.ranges(scan, pose_index)
+        if self._natural and order.directions is not self._directions:
+            self._directions, self._table = order.directions, np.empty((4, ranges.size))
+            interval_table(order.directions, float(self._geometry[G_SCAN_BOUND]), self._table)
+        directions = self._table if self._natural else order.directions
         layers = self.layers
         # fmt: off
         insert_literally(
-            self._natural, scan.ranges_m, self._directions, pose_index, low, high,
+            self._natural, ranges, directions, order.pose_index, low, high,
             self._geometry, self._mount, self.resolution_m, self._max_footprint_m,
             self._poses, self._matrices, self._work, self._block, self._spans, self._heights,
             layers.numbers, layers.table, layers.keys, self._dirty, self._pool, self._sure,

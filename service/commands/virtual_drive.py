@@ -128,7 +128,7 @@ def drive_virtually(
     )
     laser, encoders, emulators = emulate_devices(world, devices, SLICE_NS, START_NS)
     wires = {device.name: VirtualWire(emulators[device.name], device.protocol()) for device in wiring(loaded)}
-    recorder = _PoseRecorder()
+    recorder = PoseRecorder()
     pipeline = Pipeline(loaded.config, recorder)
     samples = dict.fromkeys(wires, 0)
     now_ns = START_NS
@@ -165,7 +165,7 @@ def drive_virtually(
     )
 
 
-class _PoseRecorder:
+class PoseRecorder:
     """Keeps the pose sets that scans were mapped with."""
 
     def __init__(self) -> None:
