@@ -6,7 +6,7 @@ Used alike by `run`, `demo`, `replay --ports` and the tests; they differ in the 
 import gc
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -117,7 +117,9 @@ class Onboard:
         self._loaded = loaded
         self._lockstep = lockstep
         self._stopping = threading.Event()
-        self._offered_ns = 0
+        self._offered_ns = self._told_ns = 0
+        self._told: Mapping[str, Any] = {}
+        """Health as it was then."""
         self._pace = 0, clock.now_ns(), False
         """The system's time and the clock's when they were last compared, and whether the latter hurried until then."""
         self._counted_ns = 0
@@ -292,14 +294,20 @@ class Onboard:
                 tiles=tiles,
                 pose=self.pipeline.filter.latest(),
                 anchor=self.pipeline.filter.anchor,
-                health=self.health.snapshot(now_ns)
-                | {"publisher": self.publisher.state(), "store": self.keeper.state()},
+                health=self._health_now(now_ns, last),
                 guarantee=self.pipeline.filter.guarantee,
                 released_ns=self.pipeline.released_ns,
                 forgotten=forgotten,
                 beams_until_ns=self.pipeline.beams_until_ns,
             )
         )
+
+    def _health_now(self, now_ns: int, last: bool) -> Mapping[str, Any]:
+        """Health as it is published. It goes out far less often than tiles: put together ten times a second."""
+        if last or now_ns - self._told_ns > OFFER_PERIOD_NS:
+            self._told_ns = now_ns
+            self._told = self.health.snapshot(now_ns) | {"store": self.keeper.state()}
+        return self._told
 
     def _keep_changes(self) -> None:
         """Hand over to the keeper what changed, and note it for the publisher, which is never ahead of the keeper."""
@@ -317,11 +325,12 @@ class Onboard:
 
     def _roll(self) -> None:
         """Let far tiles leave memory where it is short; join what has come back."""
-        forgotten = self._window.roll(self.pipeline.map, self.pipeline.filter.latest())
-        for place in forgotten:
-            self._unsent.pop(place, None)
-        if self.publisher.takes_updates:
-            self._forgotten += forgotten
+        if self._window.is_full(self.pipeline.map):
+            forgotten = self._window.roll(self.pipeline.map, self.pipeline.filter.latest())
+            for place in forgotten:
+                self._unsent.pop(place, None)
+            if self.publisher.takes_updates:
+                self._forgotten += forgotten
         for tile in self.keeper.returned():
             self.pipeline.map.join(tile)
 

@@ -30,9 +30,13 @@ class RollingWindow:
         self._keeper = keeper
         self._forgets = config.rolling and isinstance(keeper, Unkept)
 
+    def is_full(self, terrain: ElevationMap) -> bool:
+        """Is it time to `roll`?"""
+        return terrain.tile_count > self._full
+
     def roll(self, terrain: ElevationMap, pose: BoundedPose | None) -> list[TileId]:
         """Make room if need be. Returns the tiles that are forgotten: in no store, and in the map no more."""
-        if terrain.tile_count <= self._full or pose is None:
+        if not self.is_full(terrain) or pose is None:
             return []
         number = terrain.submap
         places = terrain.places(changed=None if self._forgets else False)
