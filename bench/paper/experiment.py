@@ -13,14 +13,18 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing.connection import wait
+from multiprocessing.pool import Pool
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
+from drivers.errors import TerraboundError
+
 Task = TypeVar("Task")
 Done = TypeVar("Done")
+
+PATIENCE_S = 900
 
 
 class Progress(Protocol):
@@ -44,21 +48,35 @@ class Outcome:
 
 
 def in_processes(function: Callable[[Task], Done], tasks: Iterable[Task]) -> Iterator[Done]:
-    """function(task) for each task, in order, in a process for each core. Ctrl-C ends it within a task's time.
+    """function(task) for each task, in order, in a process for each core. Ctrl-C ends them all at once.
 
-    `function` stands at the top of a module, and tasks and results can be pickled.
+    `function` stands at the top of a module, and tasks and results can be pickled. Raises TerraboundError if a result
+    does not come for PATIENCE_S.
     """
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(len(os.sched_getaffinity(0)), spawn, initializer=_end_with_parent) as pool:
-        try:
-            yield from pool.map(function, tasks)
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    with _pool() as pool:
+        results = pool.imap(function, tasks)
+        while True:
+            try:
+                yield results.next(PATIENCE_S)
+            except StopIteration:
+                return
+            except multiprocessing.TimeoutError:
+                raise TerraboundError(
+                    f"a worker process has given no result for {PATIENCE_S} s; was one killed for want of memory?"
+                ) from None
+
+
+def _pool() -> Pool:
+    """Workers that never hear Ctrl-C, which is the parent's matter: not even while they start."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        return multiprocessing.get_context("spawn").Pool(len(os.sched_getaffinity(0)), _end_with_parent)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _end_with_parent() -> None:
-    """Ctrl-C is the parent's matter; when the parent is gone, so are we."""
+    """When the parent is gone, however it went, so are we."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     if parent is not None:
