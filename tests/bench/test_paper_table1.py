@@ -1,15 +1,18 @@
 """`terrabound reproduce table1`, short, as a user runs it: a process of its own, from an empty folder."""
 
 import json
+import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from bench.paper.table1_reference import HULL, KALMAN, MIXTURE, UNCUT, UNIFORM, WIDE_KALMAN
-from service.cli import run_command
+from service.cli import EXIT_INTERRUPTED, run_command
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +70,25 @@ def test_order_and_repetition_change_no_bound_of_ours(done: tuple[Path, dict[str
     joins = done[1]["order_and_repetition"]
     assert set(joins["ours"].values()) == {0}
     assert joins[MIXTURE]["moved_by_repetition"] > 10
+
+
+def test_ctrl_c_ends_it_at_once_and_leaves_nobody(tmp_path: Path) -> None:
+    """Pressed twice, as people do, while its worker processes run: no traceback, no worker left."""
+    command = [sys.executable, "-m", "service.cli", "reproduce", "table1"]
+    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True) as run:
+        children, deadline = Path(f"/proc/{run.pid}/task/{run.pid}/children"), time.monotonic() + 100
+        expected = len(os.sched_getaffinity(0)) + 1  # one that tends the workers' semaphores
+        while len(workers := children.read_text().split()) < expected and time.monotonic() < deadline:
+            time.sleep(0.01)
+        os.killpg(run.pid, signal.SIGINT)
+        os.killpg(run.pid, signal.SIGINT)
+        _, said = run.communicate(timeout=60)
+    assert run.returncode == EXIT_INTERRUPTED
+    assert "Traceback" not in said
+    for worker in workers:
+        while Path(f"/proc/{worker}").exists() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert not Path(f"/proc/{worker}").exists()
 
 
 def test_without_matplotlib_it_says_what_to_install(
