@@ -17,27 +17,32 @@ from drivers.config import LaserConfig
 from drivers.samples import Scan, Stamp
 from mapper.config import MapConfig
 from mapper.elevation_map import ElevationMap
-from mapper.projection import (
-    G_RANGE_MAX,
-    G_RANGE_MIN,
-    GROW,
-    P_CENTRE,
+from mapper.laser_geometry import G_RANGE_MAX, G_RANGE_MIN, Floats, laser_geometry
+from mapper.pose_terms import (
+    D_CENTRE,
+    D_MOUNT_PITCH,
+    D_MOUNT_ROLL,
+    D_MOUNT_YAW,
+    D_PITCH,
+    D_ROLL,
+    D_SCAN,
+    D_SIZE,
+    P_BULGE,
     P_CONSTANT,
-    P_LEVER,
+    P_DIRECTIONS,
+    P_HIGH,
+    P_LOW,
     P_PER_METRE,
+    P_RANGE_BOUND,
     P_SIZE,
     P_TURN_RANGE,
     P_TURN_TURN,
     P_U_COS,
     P_U_SIN,
-    P_W_COS,
-    P_W_SIN,
     W_ROWS,
-    Floats,
-    laser_geometry,
     prepare_pose,
-    project,
 )
+from mapper.projection import project
 
 BEAMS = 721
 RESOLUTION_M = 0.05
@@ -90,18 +95,25 @@ class NumpyMap:
         def part(at: int, count: int) -> NDArray[np.float64]:
             return self.pose[at : at + 3 * count].reshape(count, 3)
 
-        beam = np.stack((rows * r, rows))  # [metres | unit, cos | sin, n]
-        turned = np.einsum("cki,cn->nki", np.stack((part(P_W_COS, 7), part(P_W_SIN, 7))), beam[0])
-        turned[:, :3] += part(P_LEVER, 3)
-        u = np.einsum("ci,cn->ni", np.stack((part(P_U_COS, 1)[0], part(P_U_SIN, 1)[0])), beam[1])
-        second = r[:, None, None] * part(P_TURN_TURN, 3) + part(P_TURN_RANGE, 3)
-        half = part(P_CONSTANT, 1) + r[:, None] * part(P_PER_METRE, 1) + np.abs(turned).sum(axis=1)
-        half = (half + np.einsum("nij,nj->ni", second, np.abs(u))) * GROW
-        centre = part(P_CENTRE, 1) + r[:, None] * u
-        z = np.stack((half[:, 2] - centre[:, 2], centre[:, 2] + half[:, 2]))
+        along = self.pose[P_DIRECTIONS : P_DIRECTIONS + 5 * D_SIZE].reshape(5, D_SIZE)
+        flat, flat_longest = rows * r, rows * (r + self.pose[P_RANGE_BOUND])
+        u = np.abs(part(P_U_COS, 1).T * rows[0] + part(P_U_SIN, 1).T * rows[1])
+        centre = along[:, D_CENTRE : D_CENTRE + 2] @ flat + along[:, D_CENTRE + 2, None]
+        half = np.abs(flat_longest[1]) * along[:, D_MOUNT_ROLL, None]
+        for at in (D_PITCH, D_ROLL):
+            half += np.abs(along[:, at : at + 2] @ flat + along[:, at + 2, None])
+        for at in (D_MOUNT_YAW, D_MOUNT_PITCH, D_SCAN):
+            half += np.abs(along[:, at : at + 2] @ flat_longest)
+        second = part(P_TURN_TURN, 3) @ (r * u) + part(P_TURN_RANGE, 3) @ u
+        rest = part(P_CONSTANT, 1).T + r * part(P_PER_METRE, 1).T + second
+        half += rest[[0, 0, 1, 1, 2]]
+        above, below = half + centre, half - centre
+        high = part(P_HIGH, 1) + self.between(above)
+        low = part(P_LOW, 1) - self.between(below)
+        z = np.stack((-low[:, 2], high[:, 2]))
         neg_low, top = (z + np.abs(z) * 2.0**-23 + 2.0**-100).astype(np.float32)
-        first = np.floor((centre - half)[:, :2] * self.inverse).astype(np.int64) + self.origin
-        last = np.floor((centre + half)[:, :2] * self.inverse).astype(np.int64) + self.origin + 1
+        first = np.floor(low[:, :2] * self.inverse).astype(np.int64) + self.origin
+        last = np.floor(high[:, :2] * self.inverse).astype(np.int64) + self.origin + 1
         columns, count = (last - first)[:, 0], np.prod(last - first, axis=1)
         beam_of = np.repeat(np.arange(r.size), count)
         nth = np.arange(beam_of.size) - np.repeat(np.cumsum(count) - count, count)
@@ -109,6 +121,13 @@ class NumpyMap:
         cells = (first[beam_of, 1] + row) * self.neg_low.shape[1] + first[beam_of, 0] + column
         np.maximum.at(self.neg_low.reshape(-1), cells, neg_low[beam_of])
         np.maximum.at(self.high.reshape(-1), cells, top[beam_of])
+
+    def between(self, ends: Floats) -> Floats:
+        """[n, 3] how far along x, y, z, from [5, n] along x and y at both ends of yaw, and z."""
+        left, right = ends[[0, 2]], ends[[1, 3]]
+        most = np.maximum(left, right)
+        most = most + np.maximum(0.0, self.pose[P_BULGE] * most - 0.25 * np.abs(left - right))
+        return np.stack((most[0], most[1], ends[4]), axis=-1)
 
 
 def cpu_us(call: Callable[[], object], repeats: int, warm: bool = True) -> tuple[float, float, float]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from drivers.compiled import compiled
 from drivers.samples import Scan
-from mapper.projection import Floats, beam_table
+from mapper.laser_geometry import Floats, beam_table
 
 _FLOAT64, _INT32 = np.dtype(np.float64), np.dtype(np.int32)
 

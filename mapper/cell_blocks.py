@@ -50,36 +50,46 @@ def _generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         window = builder.bitcast(builder.gep(curtain, [_WORD(0), place]), _FLOATS.as_pointer())
         interval = builder.fadd(interval, builder.load(window, align=4))
 
-    before = builder.basic_block
-    loop, end = builder.append_basic_block("rows"), builder.append_basic_block("rows.end")
-    builder.branch(loop)
-    builder.position_at_end(loop)
-    at, left, changed = builder.phi(_ADDRESS), builder.phi(_ADDRESS), builder.phi(_WORDS)
-    cells = builder.inttoptr(at, _FLOATS.as_pointer())
-    old = builder.load(cells, align=_ALIGNMENT)
     maximum = cgutils.get_or_insert_function(
         builder.module, ir.FunctionType(_FLOATS, [_FLOATS, _FLOATS]), f"llvm.maxnum.v{_LANES}f32"
     )
-    # That no operand is NaN is all that this flag says; without it the maximum takes three more instructions.
-    new = builder.call(maximum, [interval, old], fastmath=("nnan",))
-    builder.store(new, cells, align=_ALIGNMENT)
-    difference = builder.xor(builder.bitcast(old, _WORDS), builder.bitcast(new, _WORDS))
+
+    def look(cells: Any, wider: Any) -> Any:
+        here = builder.fcmp_ordered(">", interval, builder.load(cells, align=_ALIGNMENT))
+        return builder.or_(wider, builder.sext(here, _WORDS))
+
+    def store(cells: Any, wider: Any) -> Any:
+        # That no operand is NaN is all that this flag says; without it the maximum takes three more instructions.
+        new = builder.call(maximum, [interval, builder.load(cells, align=_ALIGNMENT)], fastmath=("nnan",))
+        builder.store(new, cells, align=_ALIGNMENT)
+        return wider
+
+    # Where the ground has been seen most hulls change nothing: look first, and store only where there is something to.
+    wider = _each_row(builder, address, rows, look)
+    # All of it as one number: a single test where the processor has one.
+    number = ir.IntType(32 * _LANES)
+    changed = builder.icmp_unsigned("!=", builder.bitcast(wider, number), number(0))
+    with builder.if_then(changed):
+        _each_row(builder, address, rows, store)
+    return changed
+
+
+def _each_row(builder: Any, address: Any, rows: Any, do: Callable[[Any, Any], Any]) -> Any:
+    """Do something with the block at `address` and those below it, `rows` in all; what one gives the next one takes."""
+    before, loop = builder.basic_block, builder.append_basic_block("row")
+    builder.branch(loop)
+    builder.position_at_end(loop)
+    at, left, taken = builder.phi(_ADDRESS), builder.phi(_ADDRESS), builder.phi(_WORDS)
+    given = do(builder.inttoptr(at, _FLOATS.as_pointer()), taken)
     next_at, next_left = builder.add(at, _ADDRESS(ROW_BYTES)), builder.sub(left, _ADDRESS(1))
-    next_changed = builder.or_(changed, difference)
-    unchanged = ir.Constant(_WORDS, [0] * _LANES)
-    for phi, start, following in (
-        (at, address, next_at),
-        (left, rows, next_left),
-        (changed, unchanged, next_changed),
-    ):
+    nothing = ir.Constant(_WORDS, [0] * _LANES)
+    for phi, start, following in ((at, address, next_at), (left, rows, next_left), (taken, nothing, given)):
         phi.add_incoming(start, before)
         phi.add_incoming(following, loop)
+    end = builder.append_basic_block("rows.end")
     builder.cbranch(builder.icmp_signed(">", next_left, _ADDRESS(0)), loop, end)
     builder.position_at_end(end)
-    any_of = cgutils.get_or_insert_function(
-        builder.module, ir.FunctionType(_WORD, [_WORDS]), f"llvm.vector.reduce.or.v{_LANES}i32"
-    )
-    return builder.icmp_unsigned("!=", builder.call(any_of, [next_changed]), _WORD(0))
+    return given
 
 
 def _spread(builder: Any, values: tuple[Any, ...]) -> Any:
@@ -96,6 +106,6 @@ hull_blocks = cast(Callable[[np.uint64, int, np.float32, np.float32, int, int], 
 """hull_blocks(address, rows, neg_low, high, first, last) -> did any cell change?
 
 Hull of the cells `first`..`last` (0..7) of the block at `address`, and of those below it in the tile's next rows - 1 >=
-0 rows, with the interval. Neither the interval nor any cell is NaN. The block's other cells are written as they were
+0 rows, with the interval. Neither the interval nor any cell is NaN. The block's other cells may be written as they were
 read.
 """

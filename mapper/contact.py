@@ -12,35 +12,10 @@ import numpy as np
 
 from drivers.compiled import compiled_unlocked
 from mapper.config import ContactConfig
-from mapper.kernel import (
-    B_DX,
-    B_X,
-    WORK_SIZE,
-    Bits,
-    Cells,
-    Counts,
-    Flags,
-    Indices,
-    Keys,
-    locate_block,
-    touch_block,
-)
-from mapper.projection import (
-    B_R,
-    G_LEVER,
-    G_LEVER_BOUND,
-    G_MATRIX,
-    G_SIZE,
-    GROW,
-    LANES,
-    P_CENTRE,
-    P_CONSTANT,
-    P_LEVER,
-    P_USABLE,
-    W_ROWS,
-    Floats,
-    prepare_pose,
-)
+from mapper.kernel import WORK_SIZE, Bits, Cells, Counts, Flags, Indices, Keys, locate_block, touch_block
+from mapper.laser_geometry import G_LEVER, G_LEVER_BOUND, G_MATRIX, G_SIZE, GROW, Floats
+from mapper.pose_terms import P_USABLE, W_ROWS, prepare_pose
+from mapper.projection import B_X0, B_X1, B_Y0, B_Y1, B_Z0, B_Z1, LANES, box
 
 
 def track_patches(contact: ContactConfig, length_m: float, gauge_m: float, resolution_m: float) -> Floats:
@@ -83,21 +58,16 @@ def insert_patches(
     counted among the beams.
     """
     work, block = scratch[:WORK_SIZE].reshape(W_ROWS, 4), scratch[WORK_SIZE:]
-    lengths = block[B_R : B_R + LANES]
-    lengths[:] = 0.0
     for begin in range(first, patches.shape[0], LANES):
         count = min(patches.shape[0] - begin, LANES)
         for lane in range(count):
             prepare_pose(pose_low, pose_high, patches[begin + lane], work, pose)
             if pose[P_USABLE] != 1.0:
                 return len(patches)
-            for i in range(3):
-                block[B_X + i * LANES + lane] = pose[P_CENTRE + i]
-                half = pose[P_CONSTANT + i]
-                for k in range(3):
-                    half += abs(pose[P_LEVER + 3 * k + i])
-                block[B_DX + i * LANES + lane] = half * GROW
-        locate_block(0, count, lengths, patches[begin], 1.0 / resolution_m, max_footprint_m, block, spans, heights)
+            x0, x1, y0, y1, z0, z1 = box(pose, 0.0, 1.0, 0.0)
+            block[B_X0 + lane], block[B_Y0 + lane], block[B_Z0 + lane] = x0, y0, z0
+            block[B_X1 + lane], block[B_Y1 + lane], block[B_Z1 + lane] = x1, y1, z1
+        locate_block(count, 1.0 / resolution_m, max_footprint_m, block, spans, heights)
         done = touch_block(count, plane, False, spans, heights, numbers, table, keys, dirty, pool, sure)
         if done < count:
             return begin + done

@@ -21,7 +21,9 @@ from mapper.beam_order import BeamOrder, plain, rising
 from mapper.config import MapConfig
 from mapper.contact import insert_patches, track_patches
 from mapper.grid import TILE_SIDE, tile_indices, tile_key
-from mapper.projection import B_SIZE, G_SIZE, LANES, P_SIZE, Floats, laser_geometry
+from mapper.laser_geometry import G_SIZE, Floats, laser_geometry
+from mapper.pose_terms import P_SIZE
+from mapper.projection import B_SIZE, LANES
 from mapper.tile import NO_CELL, NOWHERE, Tile, sealed_tile, unseen_tile
 
 _MAP_NORESERVE = 0x4000

@@ -9,26 +9,12 @@ hull taken twice changes nothing).
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.compiled import compiled, compiled_unlocked
+from drivers.compiled import compiled, compiled_into_callers, compiled_unlocked
 from mapper.cell_blocks import ALIGNED_CELLS, BLOCK_CELLS, CELL_BYTES, ROW_BYTES, hull_blocks
 from mapper.grid import CELL_LIMIT, TILE_CELLS, TILE_SHIFT, TILE_SIDE, tile_key
-from mapper.projection import (
-    B_CENTRE,
-    B_HALF,
-    G_RANGE_MAX,
-    G_RANGE_MIN,
-    LANES,
-    P_USABLE,
-    W_ROWS,
-    Floats,
-    box_block,
-    prepare_pose,
-    run_length,
-    usable_range,
-)
-
-B_X, B_Y, B_Z = B_CENTRE, B_CENTRE + LANES, B_CENTRE + 2 * LANES
-B_DX, B_DY, B_DZ = B_HALF, B_HALF + LANES, B_HALF + 2 * LANES
+from mapper.laser_geometry import Floats, usable_range
+from mapper.pose_terms import P_USABLE, W_ROWS, prepare_pose
+from mapper.projection import B_X0, B_X1, B_Y0, B_Y1, B_Z0, B_Z1, LANES, box_block, run_length
 
 WORK_SIZE = 4 * W_ROWS
 
@@ -66,13 +52,13 @@ N_READY = N_TILES + 1  # in use, or unseen everywhere and for use
 N_MOST = N_TILES + 2  # the memory cap
 N_SIZE = N_TILES + 3
 
-# Where the beams of a block end in the grid: rows of LANES int32.
-S_FATE = 0
-S_I0 = LANES
-S_I1 = 2 * LANES
-S_J0 = 3 * LANES
-S_J1 = 4 * LANES
-S_SIZE = 5 * LANES
+# Where the beams of a block end in the grid: rows of LANES int32. First the cells, ...
+S_FATE, S_I0, S_I1, S_J0, S_J1 = (row * LANES for row in range(5))
+# ... then, for what lies in one tile, which (else NOWHERE), the first block's place in it in bytes, how many rows, and
+# from there the first and last column.
+S_IX, S_IY, S_PLACE, S_ROWS, S_FIRST, S_LAST = (row * LANES for row in range(5, 11))
+S_SIZE = 11 * LANES
+NOWHERE = np.int32(-(1 << 31))
 _INDEX_LIMIT = float(CELL_LIMIT)
 _IN_TILE = TILE_SIDE - 1
 """The bits of a cell's number that say where in its tile it is."""
@@ -83,13 +69,13 @@ _UP = 2.0**-23
 _UP_NEAR_ZERO = 2.0**-100
 
 
-@compiled
+@compiled_into_callers
 def round_up(value: float) -> np.float32:
     """A float32 not below `value`."""
     return np.float32(value + abs(value) * _UP + _UP_NEAR_ZERO)
 
 
-@compiled
+@compiled_into_callers
 def find_slot(key: np.uint64, table: Indices, keys: Keys) -> np.uint64:
     """Where in the hash table `key` is, or the free place where it belongs. The table is never full."""
     mask = np.uint64(table.size - 1)
@@ -100,7 +86,7 @@ def find_slot(key: np.uint64, table: Indices, keys: Keys) -> np.uint64:
     return place
 
 
-@compiled
+@compiled_into_callers
 def tile_at(key: np.uint64, numbers: Counts, table: Indices, keys: Keys) -> np.int64:
     """Number of the tile `key`, added if it is new; LEFT_OUT or POOL_FULL if there is no room."""
     place = find_slot(key, table, keys)
@@ -124,43 +110,35 @@ def rebuild_table(tiles: int, table: Indices, keys: Keys) -> None:
         table[find_slot(keys[tile], table, keys)] = tile + 1
 
 
-@compiled
+@compiled_unlocked
 def locate_block(
-    first: int,
-    count: int,
-    ranges: Floats,
-    geometry: Floats,
-    inverse: float,
-    max_footprint_m: float,
-    block: Floats,
-    spans: Indices,
-    heights: Cells,
+    count: int, inverse: float, max_footprint_m: float, block: Floats, spans: Indices, heights: Cells
 ) -> None:
     """Each beam's fate, its cells (first and last column i and row j) and its interval (-low, high as stored).
 
     What is not USED has cells too, somewhere: no conversion to integers is undefined, and nobody reads them.
     """
-    least, most = geometry[G_RANGE_MIN], geometry[G_RANGE_MAX]
+    widest = max_footprint_m * inverse
     for n in range(count):
-        x, y, z = block[B_X + n], block[B_Y + n], block[B_Z + n]
-        dx, dy, dz = block[B_DX + n], block[B_DY + n], block[B_DZ + n]
-        far = not (abs(x) + dx) * inverse < _INDEX_LIMIT
-        far |= not (abs(y) + dy) * inverse < _INDEX_LIMIT
-        far |= not (abs(z) + dz) * inverse < _INDEX_LIMIT
-        narrow = (2.0 * dx <= max_footprint_m) & (2.0 * dy <= max_footprint_m)
-        fate = TOO_FAR if far else USED
-        fate = fate if narrow else TOO_WIDE
-        r = ranges[first + n]
-        spans[S_FATE + n] = fate if (least <= r) & (r <= most) else NO_RANGE
-        heights[n] = round_up(dz - z)
-        heights[LANES + n] = round_up(z + dz)
-        spans[S_I0 + n] = cell_number((x - dx) * inverse)
-        spans[S_I1 + n] = cell_number((x + dx) * inverse)
-        spans[S_J0 + n] = cell_number((y - dy) * inverse)
-        spans[S_J1 + n] = cell_number((y + dy) * inverse)
+        x0, y0, z0 = block[B_X0 + n] * inverse, block[B_Y0 + n] * inverse, block[B_Z0 + n]
+        x1, y1, z1 = block[B_X1 + n] * inverse, block[B_Y1 + n] * inverse, block[B_Z1 + n]
+        near = (x0 > -_INDEX_LIMIT) & (x1 < _INDEX_LIMIT) & (y0 > -_INDEX_LIMIT) & (y1 < _INDEX_LIMIT)
+        near &= (z0 * inverse > -_INDEX_LIMIT) & (z1 * inverse < _INDEX_LIMIT)
+        fate = USED if near else TOO_FAR
+        fate = fate if (x1 - x0 <= widest) & (y1 - y0 <= widest) else TOO_WIDE
+        fate = fate if x0 == x0 else NO_RANGE
+        heights[n], heights[LANES + n] = round_up(-z0), round_up(z1)
+        i0, i1, j0, j1 = cell_number(x0), cell_number(x1), cell_number(y0), cell_number(y1)
+        spans[S_FATE + n], spans[S_I0 + n], spans[S_I1 + n] = fate, i0, i1
+        spans[S_J0 + n], spans[S_J1 + n] = j0, j1
+        one_tile = (((i0 ^ i1) | (j0 ^ j1)) >> TILE_SHIFT == 0) & (fate == USED)
+        spans[S_IX + n], spans[S_IY + n] = i0 >> TILE_SHIFT if one_tile else NOWHERE, j0 >> TILE_SHIFT
+        block_column = i0 & -ALIGNED_CELLS
+        spans[S_PLACE + n] = (j0 & _IN_TILE) * ROW_BYTES + (block_column & _IN_TILE) * CELL_BYTES
+        spans[S_ROWS + n], spans[S_FIRST + n], spans[S_LAST + n] = j1 - j0 + 1, i0 - block_column, i1 - block_column
 
 
-@compiled
+@compiled_into_callers
 def cell_number(cells: float) -> np.int32:
     """floor, kept where an int32 can be made of it; NaN too."""
     cells = cells if cells > -_INDEX_LIMIT else -_INDEX_LIMIT
@@ -168,21 +146,18 @@ def cell_number(cells: float) -> np.int32:
     return np.int32(np.floor(cells))
 
 
-@compiled
-def hull_cells(
-    tile_address: np.uint64, row0: int, row1: int, col0: int, col1: int, neg_low: np.float32, high: np.float32
-) -> bool:
-    """Hull of one tile's cells [row0..row1, col0..col1] with an interval; did any cell change?"""
-    block, rows, changed = col0 & -ALIGNED_CELLS, row1 - row0 + 1, False
-    while block <= col1:
-        address = tile_address + np.uint64(row0 * ROW_BYTES + block * CELL_BYTES)
-        first, last = max(col0 - block, 0), min(col1 - block, BLOCK_CELLS - 1)
-        changed |= hull_blocks(address, rows, neg_low, high, first, last)
-        block += BLOCK_CELLS
+@compiled_into_callers
+def hull_cells(address: np.uint64, rows: int, first: int, last: int, neg_low: np.float32, high: np.float32) -> bool:
+    """Hull of `rows` rows of cells `first`..`last`, counted from the block at `address`; did any cell change?"""
+    changed = False
+    while last >= 0:
+        changed |= hull_blocks(address, rows, neg_low, high, max(first, 0), min(last, BLOCK_CELLS - 1))
+        address += np.uint64(BLOCK_CELLS * CELL_BYTES)
+        first, last = first - BLOCK_CELLS, last - BLOCK_CELLS
     return changed
 
 
-@compiled
+@compiled_unlocked
 def touch_block(
     count: int,
     plane: int,
@@ -201,40 +176,43 @@ def touch_block(
     hits: each footprint holds a point that was measured.
     """
     plane_address, stride = np.uint64(pool.ctypes.data) + np.uint64(plane * TILE_BYTES), pool.shape[1] * TILE_BYTES
-    last_key, last_tile = np.uint64(0), np.int64(-1)
+    last_ix, last_iy, last_tile, tile_address = NOWHERE, NOWHERE, LEFT_OUT, plane_address
     for lane in range(count):
         fate = spans[S_FATE + lane]
-        if fate == USED:
+        neg_low, high = heights[lane], heights[LANES + lane]
+        if last_tile >= 0 and spans[S_IX + lane] == last_ix and spans[S_IY + lane] == last_iy:
+            # The rule: one tile, the same as that of the beam before.
+            rows, first, last = int(spans[S_ROWS + lane]), int(spans[S_FIRST + lane]), int(spans[S_LAST + lane])
+            if hull_cells(tile_address + np.uint64(spans[S_PLACE + lane]), rows, first, last, neg_low, high):
+                dirty[last_tile] = True
+        elif fate == USED:
             i0, i1 = int(spans[S_I0 + lane]), int(spans[S_I1 + lane])
-            j0, j1 = int(spans[S_J0 + lane]), int(spans[S_J1 + lane])
-            single = hits and i0 == i1 and j0 == j1  # the hit is in this cell: the footprint reaches no other
-            j = j0
+            j, j1 = int(spans[S_J0 + lane]), int(spans[S_J1 + lane])
             while j <= j1:
                 j_last, i = min(j1, j | _IN_TILE), i0
                 while i <= i1:
-                    i_last = min(i1, i | _IN_TILE)
-                    key = tile_key(i >> TILE_SHIFT, j >> TILE_SHIFT)
-                    if last_tile < 0 or key != last_key:
-                        tile = tile_at(key, numbers, table, keys)
+                    i_last, ix, iy = min(i1, i | _IN_TILE), i >> TILE_SHIFT, j >> TILE_SHIFT
+                    if last_tile < 0 or ix != last_ix or iy != last_iy:
+                        tile = tile_at(tile_key(ix, iy), numbers, table, keys)
                         if tile == POOL_FULL:
                             return lane
                         if tile == LEFT_OUT:
                             fate, i = BEYOND_CAP, i_last + 1
                             continue
-                        last_key, last_tile = key, tile
-                    row, col = j & _IN_TILE, i & _IN_TILE
-                    tile_address = plane_address + np.uint64(last_tile * stride)
-                    changed = hull_cells(
-                        tile_address, row, row + j_last - j, col, col + i_last - i, heights[lane], heights[LANES + lane]
-                    )
-                    if single:
-                        bit = np.uint64(1) << np.uint64(col)
-                        changed |= sure[last_tile, row] & bit == np.uint64(0)
-                        sure[last_tile, row] |= bit
-                    if changed:
+                        last_ix, last_iy, last_tile = np.int32(ix), np.int32(iy), tile
+                        tile_address = plane_address + np.uint64(tile * stride)
+                    row, block = j & _IN_TILE, i & -ALIGNED_CELLS
+                    place = np.uint64(row * ROW_BYTES + (block & _IN_TILE) * CELL_BYTES)
+                    if hull_cells(tile_address + place, j_last - j + 1, i - block, i_last - block, neg_low, high):
                         dirty[last_tile] = True
                     i = i_last + 1
                 j = j_last + 1
+        if hits and fate == USED and spans[S_ROWS + lane] == 1 and spans[S_FIRST + lane] == spans[S_LAST + lane]:
+            # The hit is in this cell: the footprint reaches no other.
+            row, bit = spans[S_J0 + lane] & _IN_TILE, np.uint64(1) << np.uint64(spans[S_I0 + lane] & _IN_TILE)
+            if sure[last_tile, row] & bit == np.uint64(0):
+                sure[last_tile, row] |= bit
+                dirty[last_tile] = True
         numbers[fate] += 1
     return count
 
@@ -284,7 +262,7 @@ def insert_beams(
                 numbers[NO_POSE if usable_range(ranges[k], geometry) else NO_RANGE] += 1
         else:
             box_block(poses[m], geometry, n, count, ranges, cosines, sines, block)
-            locate_block(n, count, ranges, geometry, inverse, max_footprint_m, block, spans, heights)
+            locate_block(count, inverse, max_footprint_m, block, spans, heights)
             done = touch_block(count, plane, True, spans, heights, numbers, table, keys, dirty, pool, sure)
             if done < count:
                 return n + done

@@ -255,7 +255,7 @@ def test_wide_and_far_beams_are_counted() -> None:
     """A footprint wider than allowed, and a pose beyond the numbered cells, touch no cell."""
     terrain, sweep = ElevationMap(CONFIG, LASER), Sweep(3)
     wide = sweep.low.copy()
-    wide[:, 5] -= 3.0
+    wide[:, 0] -= 6.0
     assert terrain.insert(sweep.scan, wide, sweep.high, sweep.pose_index).too_wide == BEAMS
     away = np.array([1e12, 0, 0, 0, 0, 0])
     assert terrain.insert(sweep.scan, sweep.low + away, sweep.high + away, sweep.pose_index).too_far == BEAMS
