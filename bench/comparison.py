@@ -29,7 +29,7 @@ from bench.paper.scene_maps import (
 from bench.paper.snow import SNOW
 from bench.paper.stairs import STAIRS
 from drivers.samples import Scan, Stamp
-from mapper.projection import rotation
+from mapper.laser_geometry import rotation
 from simulator.raycast import cast
 from simulator.terrain import build_terrain
 from simulator.truth import Truth

@@ -71,22 +71,27 @@ def compiled(function: F) -> F:
     return cast(F, numba.njit(cache=True, error_model="numpy")(function))
 
 
+def compiled_unlocked(function: F) -> F:
+    """The same for work of tens of microseconds: other threads run meanwhile, as it releases the interpreter lock.
+
+    Shorter work should keep the lock: each release invites a waiting thread to take it, and costs more than it gives.
+    """
+    _keep_beside(function)
+    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+
+
 _BARE: dict[str, Any] = {"_nrt": False}
 """No part of numba's own runtime: what allocates doesn't compile, and no array's references are counted, which costs an
 atomic addition for each array of each call: a tenth of the mapping kernel's time."""
 
 
-def compiled_unlocked(function: F) -> F:
-    """The same for work of tens of microseconds: other threads run meanwhile, as it releases the interpreter lock.
-
-    Shorter work should keep the lock: each release invites a waiting thread to take it, and costs more than it gives.
-    Nothing in it may allocate.
-    """
+def compiled_without_heap(function: F) -> F:
+    """The same for a hot path, in which nothing may allocate."""
     _keep_beside(function)
     return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", **_BARE)(function))
 
 
 def compiled_into_callers(function: F) -> F:
-    """The same for a step of such work: its machine code becomes part of each caller's."""
+    """The same for a small step of a hot path: its machine code becomes part of each caller's."""
     _keep_beside(function)
     return cast(F, numba.njit(cache=True, forceinline=True, error_model="numpy", **_BARE)(function))

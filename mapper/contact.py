@@ -10,7 +10,7 @@ from math import ceil
 
 import numpy as np
 
-from drivers.compiled import compiled_unlocked
+from drivers.compiled import compiled_without_heap
 from mapper.config import ContactConfig
 from mapper.kernel import WORK_SIZE, Bits, Cells, Counts, Flags, Indices, Keys, locate_block, touch_block
 from mapper.laser_geometry import G_LEVER, G_LEVER_BOUND, G_MATRIX, G_SIZE, GROW, Floats
@@ -32,7 +32,7 @@ def track_patches(contact: ContactConfig, length_m: float, gauge_m: float, resol
     return patches.reshape(-1, G_SIZE)
 
 
-@compiled_unlocked
+@compiled_without_heap
 def insert_patches(
     first: int,
     patches: Floats,

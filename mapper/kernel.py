@@ -9,7 +9,7 @@ hull taken twice changes nothing).
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.compiled import compiled, compiled_into_callers, compiled_unlocked
+from drivers.compiled import compiled, compiled_into_callers, compiled_without_heap
 from mapper.cell_blocks import ALIGNED_CELLS, BLOCK_CELLS, CELL_BYTES, ROW_BYTES, hull_blocks
 from mapper.grid import CELL_LIMIT, TILE_CELLS, TILE_SHIFT, TILE_SIDE, tile_key
 from mapper.laser_geometry import Floats, usable_range
@@ -110,7 +110,7 @@ def rebuild_table(tiles: int, table: Indices, keys: Keys) -> None:
         table[find_slot(keys[tile], table, keys)] = tile + 1
 
 
-@compiled_unlocked
+@compiled_without_heap
 def locate_block(
     count: int, inverse: float, max_footprint_m: float, block: Floats, spans: Indices, heights: Cells
 ) -> None:
@@ -157,7 +157,7 @@ def hull_cells(address: np.uint64, rows: int, first: int, last: int, neg_low: np
     return changed
 
 
-@compiled_unlocked
+@compiled_without_heap
 def touch_block(
     count: int,
     plane: int,
@@ -217,7 +217,7 @@ def touch_block(
     return count
 
 
-@compiled_unlocked
+@compiled_without_heap
 def insert_beams(
     first: int,
     ranges: Floats,

@@ -41,7 +41,7 @@ docs/rounding.md shows this, and that `PAD` and `GROW` cover the floating point.
 
 import numpy as np
 
-from drivers.compiled import compiled_unlocked
+from drivers.compiled import compiled_without_heap
 from mapper.laser_geometry import (
     G_ACROSS_BOUND,
     G_LEVER,
@@ -94,7 +94,7 @@ W_M = 10
 W_ROWS = 13
 
 
-@compiled_unlocked
+@compiled_without_heap
 def prepare_pose(low: Floats, high: Floats, geometry: Floats, work: Floats, out: Floats) -> None:
     """Fill the row `out` with what all beams shot from the pose box [low, high] share; `work` is [W_ROWS, 4]."""
     out[P_USABLE] = 0.0
@@ -131,7 +131,7 @@ def prepare_pose(low: Floats, high: Floats, geometry: Floats, work: Floats, out:
         anywhere_around(geometry, work, out)
 
 
-@compiled_unlocked
+@compiled_without_heap
 def turn_axes(roll: float, pitch: float, yaw: float, geometry: Floats, work: Floats) -> None:
     """R, M = R Rm, R l and each rotation's axis in the map frame; the half-ranges of the mounting's."""
     cr, sr, cp, sp, cy, sy = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
@@ -154,7 +154,7 @@ def turn_axes(roll: float, pitch: float, yaw: float, geometry: Floats, work: Flo
     work[6, 3] = geometry[G_SCAN_BOUND]
 
 
-@compiled_unlocked
+@compiled_without_heap
 def bound_remainder(reach: float, d_yaw: float, geometry: Floats, work: Floats, out: Floats) -> None:
     """h, the rows P_CONSTANT to P_TURN_RANGE, and the share of R l that s takes away."""
     axis, R, lever = work[W_AXIS : W_AXIS + 7], work[W_R : W_R + 3], work[W_LEVER]
@@ -212,7 +212,7 @@ def bound_remainder(reach: float, d_yaw: float, geometry: Floats, work: Floats, 
         out[P_PER_METRE + i] = d_across * turned + Z**3 / 6.0
 
 
-@compiled_unlocked
+@compiled_without_heap
 def look_along(x: float, y: float, z: float, work: Floats, out: Floats, at: int) -> None:
     """One direction's row: v - s and the first order of each rotation along (x, y, z)."""
     axis, M, lever = work[W_AXIS : W_AXIS + 7], work[W_M : W_M + 3], work[W_LEVER]
@@ -239,7 +239,7 @@ def look_along(x: float, y: float, z: float, work: Floats, out: Floats, at: int)
             out[place], out[place + 1] = by_cos, by_sin
 
 
-@compiled_unlocked
+@compiled_without_heap
 def turn_remainder(c: float, s: float, out: Floats) -> None:
     """h of x and y, as seen from an end of yaw."""
     for k in range(P_CONSTANT, P_TURN_TURN, 3):
@@ -249,7 +249,7 @@ def turn_remainder(c: float, s: float, out: Floats) -> None:
             out[k], out[k + 3] = c * out[k] + s * out[k + 3], c * out[k + 3] + s * out[k]
 
 
-@compiled_unlocked
+@compiled_without_heap
 def anywhere_around(geometry: Floats, work: Floats, out: Floats) -> None:
     """x and y where nobody knows which way the robot looks: as far away as the lever and the range together reach."""
     out[P_BULGE] = 0.0

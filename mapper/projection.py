@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.compiled import compiled, compiled_into_callers, compiled_unlocked
+from drivers.compiled import compiled, compiled_into_callers, compiled_without_heap
 from drivers.config import LaserConfig
 from drivers.samples import Scan
 from mapper.fused import fused
@@ -45,7 +45,7 @@ B_X0, B_X1, B_Y0, B_Y1, B_Z0, B_Z1 = (row * LANES for row in range(6))
 B_SIZE = 6 * LANES
 
 
-@compiled_unlocked
+@compiled_without_heap
 def box_block(
     pose: Floats, geometry: Floats, first: int, count: int, ranges: Floats, cosines: Floats, sines: Floats, out: Floats
 ) -> None:
@@ -124,7 +124,7 @@ def farthest(left: float, right: float, bulge: float) -> float:
     return most + (between if between > 0.0 else 0.0)
 
 
-@compiled_unlocked
+@compiled_without_heap
 def run_length(first: int, pose_index: NDArray[np.int32]) -> int:
     """How many beams from `first` on, at most LANES, were shot from the same pose."""
     run = pose_index[first : min(first + LANES, pose_index.size)]

@@ -1,6 +1,6 @@
 """From a beam to the mean and the covariance of the point it hit: what the mixture and the Kalman map are made of.
 
-The point model is the map's own (mapper/projection.py); errors are independent Gaussians, except those of the pose,
+The point model is the map's own (mapper/pose_terms.py); errors are independent Gaussians, except those of the pose,
 whose covariance [6, 6] is whole. First order, as both papers have it: P = J diag(P_q, ...) J' (BASELINES 3.1).
 
 For one pose, p = t + R l + (r cos th) a + (r sin th) b, and every column of J is linear in r cos th and r sin th. So
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from drivers.compiled import compiled
 from mapper.fused import fused
-from mapper.projection import (
+from mapper.laser_geometry import (
     G_ACROSS_BOUND,
     G_LEVER,
     G_LEVER_BOUND,
@@ -24,8 +24,8 @@ from mapper.projection import (
     G_RANGE_MAX,
     G_RANGE_MIN,
     G_SCAN_BOUND,
-    LANES,
 )
+from mapper.projection import LANES
 
 Floats = NDArray[np.float64]
 

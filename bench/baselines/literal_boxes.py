@@ -10,29 +10,28 @@ from numpy.typing import NDArray
 
 from drivers.compiled import compiled
 from mapper.fused import fused
-from mapper.projection import (
-    B_CENTRE,
-    B_HALF,
-    B_RC,
-    B_RS,
+from mapper.laser_geometry import (
     G_LEVER,
     G_LEVER_BOUND,
     G_MOUNT_BOUND,
     G_RANGE_BOUND,
     G_RANGE_MAX,
     G_RANGE_MIN,
-    LANES,
-    P_CENTRE,
-    P_CONSTANT,
-    P_LEVER,
-    P_U_COS,
-    P_U_SIN,
-    P_W_COS,
-    P_W_SIN,
-    W_R,
 )
+from mapper.pose_terms import W_LEVER, W_M, W_R, turn_axes
+from mapper.projection import B_X0, B_X1, LANES
 
 Floats = NDArray[np.float64]
+
+# What all beams of one pose share in the first order: one row of float64.
+F_CENTRE = 0  # t + R l
+F_U_COS = 3
+F_U_SIN = 6
+F_CONSTANT = 9
+F_LEVER = 12  # d_k a_k x R l: yaw, pitch, roll
+F_W_COS = 21  # d_k a_k x U_COS: those, the mounting's three, and along the scan
+F_W_SIN = 42
+F_SIZE = 63
 
 # What all beams of one pose share in the natural extension: one row of float64.
 I_ORIGIN = 0  # [t] + [R][l]: low x, y, z, then high
@@ -44,39 +43,54 @@ W_INTERVALS = 18
 
 
 @compiled
-def first_order_pose(low: Floats, high: Floats, geometry: Floats, work: Floats, out: Floats) -> None:
-    """Reduce what `mapper.projection.prepare_pose` left in `out` and `work` to the first order, unpadded."""
-    R = work[W_R : W_R + 3]
+def prepare_first_order(low: Floats, high: Floats, geometry: Floats, work: Floats, out: Floats) -> None:
+    """Fill the row `out` [F_SIZE] for a pose box; `work` as `mapper.pose_terms.prepare_pose` takes it."""
+    turn_axes(0.5 * (low[3] + high[3]), 0.5 * (low[4] + high[4]), 0.5 * (low[5] + high[5]), geometry, work)
+    R, M, lever = work[W_R : W_R + 3], work[W_M : W_M + 3], work[W_LEVER]
+    work[1, 3], work[2, 3] = 0.5 * (high[4] - low[4]), 0.5 * (high[3] - low[3])
     for i in range(3):
+        out[F_CENTRE + i] = 0.5 * (low[i] + high[i]) + lever[i]
+        out[F_U_COS + i], out[F_U_SIN + i] = M[i, 0], M[i, 1]
         constant = 0.5 * (high[i] - low[i])
         for j in range(3):
             constant += abs(R[i, j]) * geometry[G_LEVER_BOUND + j]
-        out[P_CONSTANT + i] = constant
+        out[F_CONSTANT + i] = constant
+    for k in range(7):
+        ax, ay, az, d = work[k, 0], work[k, 1], work[k, 2], work[k, 3]
+        if k == 0:  # yaw, which has no row there
+            ax, ay, az, d = 0.0, 0.0, 1.0, 0.5 * (high[5] - low[5])
+        for j in range(3):
+            vx, vy, vz = (lever[0], lever[1], lever[2]) if j == 2 else (M[0, j], M[1, j], M[2, j])
+            at = (F_W_COS if j == 0 else F_W_SIN if j == 1 else F_LEVER) + 3 * k
+            if j < 2 or k < 3:
+                out[at], out[at + 1], out[at + 2] = (
+                    d * (ay * vz - az * vy),
+                    d * (az * vx - ax * vz),
+                    d * (ax * vy - ay * vx),
+                )
 
 
 @compiled
 def first_order_block(
     pose: Floats, geometry: Floats, first: int, count: int, ranges: Floats, cosines: Floats, sines: Floats, out: Floats
 ) -> None:
-    """Centres and half-widths |J| d of `count` beams, as `mapper.projection.box_block` lays them out."""
+    """Centres -+ |J| d of `count` beams, as `mapper.projection.box_block` lays them out."""
     least, most, d_range = geometry[G_RANGE_MIN], geometry[G_RANGE_MAX], geometry[G_RANGE_BOUND]
     ranges, cosines, sines = ranges[first : first + count], cosines[first : first + count], sines[first : first + count]
-    for n in range(count):
-        r = ranges[n]
-        r = r if (least <= r) & (r <= most) else 0.0
-        out[B_RC + n], out[B_RS + n] = r * cosines[n], r * sines[n]
     for i in range(3):
-        centre, half = B_CENTRE + i * LANES, B_HALF + i * LANES
-        origin, constant, u_c, u_s = pose[P_CENTRE + i], pose[P_CONSTANT + i], pose[P_U_COS + i], pose[P_U_SIN + i]
-        c, s = P_W_COS + i, P_W_SIN + i
-        l1, l2, l3 = pose[P_LEVER + i], pose[P_LEVER + 3 + i], pose[P_LEVER + 6 + i]
+        low, high = B_X0 + 2 * i * LANES, B_X1 + 2 * i * LANES
+        origin, constant, u_c, u_s = pose[F_CENTRE + i], pose[F_CONSTANT + i], pose[F_U_COS + i], pose[F_U_SIN + i]
+        c, s = F_W_COS + i, F_W_SIN + i
+        l1, l2, l3 = pose[F_LEVER + i], pose[F_LEVER + 3 + i], pose[F_LEVER + 6 + i]
         c1, c2, c3, c4 = pose[c], pose[c + 3], pose[c + 6], pose[c + 9]
         c5, c6, c7 = pose[c + 12], pose[c + 15], pose[c + 18]
         s1, s2, s3, s4 = pose[s], pose[s + 3], pose[s + 6], pose[s + 9]
         s5, s6, s7 = pose[s + 12], pose[s + 15], pose[s + 18]
         for n in range(count):
-            rc, rs = out[B_RC + n], out[B_RS + n]
-            out[centre + n] = fused(rc, u_c, fused(rs, u_s, origin))
+            r = ranges[n]
+            r = r if (least <= r) & (r <= most) else np.nan
+            rc, rs = r * cosines[n], r * sines[n]
+            centre = fused(rc, u_c, fused(rs, u_s, origin))
             h = fused(d_range, abs(fused(u_c, cosines[n], u_s * sines[n])), constant)
             h += abs(fused(rc, c1, fused(rs, s1, l1)))
             h += abs(fused(rc, c2, fused(rs, s2, l2)))
@@ -85,7 +99,7 @@ def first_order_block(
             h += abs(fused(rc, c5, rs * s5))
             h += abs(fused(rc, c6, rs * s6))
             h += abs(fused(rc, c7, rs * s7))
-            out[half + n] = h
+            out[low + n], out[high + n] = centre - h, centre + h
 
 
 @compiled
@@ -166,7 +180,7 @@ def prepare_intervals(low: Floats, high: Floats, geometry: Floats, mount: Floats
 def natural_block(
     pose: Floats, geometry: Floats, first: int, count: int, ranges: Floats, directions: Floats, out: Floats
 ) -> None:
-    """Centres and half-widths of the natural interval extension; directions [4, n] low, high cosine, low, high sine."""
+    """Boxes by the natural interval extension; directions [4, n] low, high cosine, low, high sine."""
     least, most, d_range = geometry[G_RANGE_MIN], geometry[G_RANGE_MAX], geometry[G_RANGE_BOUND]
     ranges = ranges[first : first + count]
     c_low, c_high = directions[0, first : first + count], directions[1, first : first + count]
@@ -176,10 +190,8 @@ def natural_block(
         a_low, a_high, b_low, b_high = pose[I_COS + i], pose[I_COS + 3 + i], pose[I_SIN + i], pose[I_SIN + 3 + i]
         for n in range(count):
             r = ranges[n]
-            r = r if (least <= r) & (r <= most) else 0.0
+            r = r if (least <= r) & (r <= most) else np.nan
             u_low, u_high = times(a_low, a_high, c_low[n], c_high[n])
             v_low, v_high = times(b_low, b_high, s_low[n], s_high[n])
             low, high = times(r - d_range, r + d_range, u_low + v_low, u_high + v_high)
-            low, high = low + origin_low, high + origin_high
-            out[B_CENTRE + i * LANES + n] = 0.5 * (low + high)
-            out[B_HALF + i * LANES + n] = 0.5 * (high - low)
+            out[B_X0 + 2 * i * LANES + n], out[B_X1 + 2 * i * LANES + n] = low + origin_low, high + origin_high

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.baselines.literal_boxes import (
+    F_SIZE,
     I_SIZE,
     cosine_bounds,
     first_order_block,
-    first_order_pose,
     natural_block,
+    prepare_first_order,
     prepare_intervals,
 )
 from bench.baselines.tiled_layers import TiledLayers
@@ -24,16 +25,9 @@ from drivers.samples import Scan
 from mapper import kernel
 from mapper.beam_order import BeamOrder
 from mapper.grid import TILE_SIDE
-from mapper.projection import (
-    B_SIZE,
-    G_SCAN_BOUND,
-    LANES,
-    P_SIZE,
-    W_ROWS,
-    laser_geometry,
-    prepare_pose,
-    run_length,
-)
+from mapper.laser_geometry import G_SCAN_BOUND, laser_geometry
+from mapper.pose_terms import W_ROWS
+from mapper.projection import B_SIZE, LANES, run_length
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int32]
@@ -79,8 +73,7 @@ def insert_literally(
         if natural:
             prepare_intervals(pose_low[m], pose_high[m], geometry, mount, matrices, poses[m])
         else:
-            prepare_pose(pose_low[m], pose_high[m], geometry, work, poses[m])
-            first_order_pose(pose_low[m], pose_high[m], geometry, work, poses[m])
+            prepare_first_order(pose_low[m], pose_high[m], geometry, work, poses[m])
     n = 0
     while n < ranges.size:
         m, count = pose_index[n], run_length(n, pose_index)
@@ -91,7 +84,7 @@ def insert_literally(
                 natural_block(poses[m], geometry, n, count, ranges, directions, block)
             else:
                 first_order_block(poses[m], geometry, n, count, ranges, directions[0], directions[1], block)
-            kernel.locate_block(n, count, ranges, geometry, 1.0 / resolution_m, max_footprint_m, block, spans, heights)
+            kernel.locate_block(count, 1.0 / resolution_m, max_footprint_m, block, spans, heights)
             kernel.touch_block(count, 0, True, spans, heights, numbers, table, keys, dirty, pool, sure)
         n += count
 
@@ -119,7 +112,7 @@ class LiteralMap:
         self._max_footprint_m = max_footprint_m
         self._order = BeamOrder()
         self._directions, self._table = np.empty((2, 0)), np.empty((4, 0))
-        self._poses = np.empty((64, max(P_SIZE, I_SIZE)))
+        self._poses = np.empty((64, max(F_SIZE, I_SIZE)))
         self._matrices, self._work = np.empty((5, 3, 3, 2)), np.empty((W_ROWS, 4))
         self._block = np.zeros(B_SIZE)
         self._spans, self._heights = np.zeros(kernel.S_SIZE, np.int32), np.zeros(2 * LANES, np.float32)

@@ -34,8 +34,9 @@ from drivers.samples import Scan
 from mapper import kernel
 from mapper.beam_order import BeamOrder
 from mapper.grid import CELL_LIMIT, TILE_CELLS, TILE_SHIFT, TILE_SIDE, tile_key
+from mapper.laser_geometry import laser_geometry, usable_range
 from mapper.projection import LANES as BEAMS
-from mapper.projection import laser_geometry, run_length, usable_range
+from mapper.projection import run_length
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
