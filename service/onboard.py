@@ -174,10 +174,10 @@ class Onboard:
         self._thread.join()
 
     def status_line(self) -> str:
-        """Devices, scans, cells, pose width: for systemctl and for terminals."""
+        """Devices, scans, tiles, pose width: for systemctl and terminals; costs the same however large the map is."""
         pose, terrain = self.pipeline.filter.latest(), self.pipeline.map
         width = "no pose yet" if pose is None else f"pose +-{50 * float((pose.high[:3] - pose.low[:3]).max()):.0f} cm"
-        mapped = f"{self.pipeline.counts['scans']} scans, {terrain.cells_seen} cells"
+        mapped = f"{self.pipeline.counts['scans']} scans, {terrain.tile_count} tiles"
         return f"{self.health.status_line(time.monotonic_ns())} | {mapped} | {width}"
 
     def save_map(self, path: Path | None = None) -> None:
