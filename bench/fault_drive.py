@@ -98,7 +98,7 @@ def drive(
         if pose is None:
             continue
         out.checks += 1
-        if not _inside(world.pose(now_ns), start, pose.low, pose.high):
+        if not inside(world.pose(now_ns), start, pose.low, pose.high):
             out.false_ns.append(now_ns)
             out.untold += guarantee.intact
             out.told += not guarantee.intact
@@ -109,7 +109,7 @@ def drive(
     return out
 
 
-def _inside(world_pose: Array, start: Array, low: Array, high: Array) -> bool:
+def inside(world_pose: Array, start: Array, low: Array, high: Array) -> bool:
     """Is the true pose, seen from the map frame, in the box? Yaw modulo a turn."""
     x, y, z = world_pose[:3] - start[:3]
     c, s = cos(start[5]), sin(start[5])

@@ -14,7 +14,7 @@ import pymap3d
 from numpy.typing import NDArray
 
 from bench.fault_drive import RATES, RTK, declared
-from simulator.faults import Fault, WrongTracks
+from simulator.faults import WrongTracks
 from simulator.robot import STEP_NS, rotations
 from simulator.world import World
 
@@ -96,15 +96,3 @@ def _cut(polygon: Array, axis: int, sign: float, limit: float) -> Array:
         if (a < 0.0 < b) or (b < 0.0 < a):
             out.append(here + (there - here) * (a / (a - b)))
     return np.array(out).reshape(-1, 2)
-
-
-def first_broken_s(world: World, fault: Fault) -> float:
-    """Seconds of the drive until counts first leave their slip bound; inf: the wrong scale hides in it."""
-    assert isinstance(fault, WrongTracks)
-    robot, _ = declared()
-    begin = round(fault.begin_s * 1e9) // STEP_NS
-    ground, tracks = (np.diff(rows[begin::20], axis=0) for rows in (world.drive.ground, world.drive.tracks))
-    counted = tracks * np.array(fault.scale)
-    off = np.abs(ground - counted) > robot.slip_ratio * np.abs(counted) + 1e-6
-    rows = np.flatnonzero(off.any(axis=1))
-    return fault.begin_s + (int(rows[0]) + 1) * 20 * STEP_NS * 1e-9 if len(rows) else float("inf")
