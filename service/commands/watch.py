@@ -19,6 +19,7 @@ def watch(
     connect: str,
     robot: str | None = None,
     map: Path | None = None,  # noqa: A002  the option's name is the contract
+    submap: int | None = None,
     once: bool = False,
     report: Path | None = None,
 ) -> int:
@@ -32,6 +33,8 @@ def watch(
         The robot's name; by default the first that is found there.
     map
         Write the copy to this .npz at the end.
+    submap
+        Write this one of the robot's submaps, as an earlier run left it; by default the newest.
     once
         Take the present map, save it, and end.
     report
@@ -46,8 +49,10 @@ def watch(
                 while not ended.wait(0.5):
                     live.update(_table(remote))
             synced = remote.wait_in_sync(FINAL_SYNC_S)
-        if map is not None:
-            remote.save(map)
+        held = sorted({place.submap for place in remote.tiles})
+        missing = submap is not None and submap not in held
+        if map is not None and not missing:
+            remote.save(map, submap)
         if report is not None:
             report.write_text(json.dumps({"in_sync": synced, "latency_ms": remote.latencies_ms(), **remote.stats()}))
         console.print(_table(remote))
@@ -57,6 +62,14 @@ def watch(
             style="red",
             soft_wrap=True,
         )
+    if missing:
+        console.print(
+            f"terrabound: --submap {submap}: the robot publishes no tile of it, but of {held or 'none'}; "
+            "the store on the robot may hold older ones: terrabound export MAP.db --submap",
+            style="red",
+            soft_wrap=True,
+        )
+        return 1
     return 0 if synced else 1
 
 
