@@ -29,6 +29,8 @@ class Narrowed(NamedTuple):
     """[6, 2] the newest place, in the map and on Earth."""
     yaws: NDArray[np.float64]
     """[2, 2] the newest yaw, in the map and on Earth."""
+    bias: NDArray[np.float64]
+    """[2] the gyroscope's about z."""
     anchor: NDArray[np.float64]
     """[4, 2]"""
     points: NDArray[np.float64]
@@ -74,8 +76,8 @@ class Anchoring:
 
         def narrowed(wider: float) -> Narrowed | None:
             now = Narrowed(
-                places.box[n].copy(), turns.box[turns.newest, 2:].copy(), self._anchor.copy(), self._points.copy(),
-                antenna + np.array([-wider, wider]),
+                places.box[n].copy(), turns.box[turns.newest, 2:].copy(), self._attitude.bias[2].copy(),
+                self._anchor.copy(), self._points.copy(), antenna + np.array([-wider, wider]),
             )  # fmt: skip
             agrees = self._on_earth(now, offset, around) and self._in_map(now, in_map)
             return now if agrees and tied(now.anchor, now.yaws, now.box) else None
@@ -85,6 +87,7 @@ class Anchoring:
             excess = least_excess(lambda wider: narrowed(wider) is not None, 0.01)
             self._journal.report("gps", stamp.mid_ns, excess, "m")
             return
+        self._attitude.bias[2] = now.bias
         self._remember(now, in_map)
         self._anchor, self._points = now.anchor, now.points
         self._position.remember()
@@ -120,8 +123,8 @@ class Anchoring:
             return False
         seconds = int(turns.times[around, 0]) * 1e-9, int(turns.times[turns.newest, 1]) * 1e-9
         return self._position.window.narrowed(
-            now.antenna[:2], offset[:2], turns.heading[turns.newest], seconds, self._attitude.bias[2],
-            self._position.quantum, now.yaws[1], place[:2],
+            now.antenna[:2], offset[:2], turns.heading[turns.newest], seconds, self._position.quantum,
+            now.bias, now.yaws[1], place[:2],
         )  # fmt: skip
 
     def _in_map(self, now: Narrowed, offset: NDArray[np.float64]) -> bool:

@@ -37,7 +37,14 @@ WIDEST_YAW = 1.0
 class NewestFixOnly(GpsWindow):
     """A window that remembers nothing."""
 
-    def remember(self, bias: NDArray[np.float64], slack: float, quantum: float) -> None:
+    def remember(
+        self,
+        bias: NDArray[np.float64],
+        slack: float,
+        quantum: float,
+        yaw: NDArray[np.float64],
+        place: NDArray[np.float64],
+    ) -> None:
         """Not even this one."""
 
 
@@ -71,20 +78,27 @@ class Witness(NewestFixOnly):
         offset: NDArray[np.float64],
         heading: NDArray[np.float64],
         seconds: tuple[float, float],
-        bias: NDArray[np.float64],
         quantum: float,
+        bias: NDArray[np.float64],
         yaw: NDArray[np.float64],
         place: NDArray[np.float64],
     ) -> bool:
         """As GpsWindow's; False where the whole window leaves nothing."""
-        seen = (yaw, place) if self.alone else (yaw.copy(), place.copy())
-        return self._whole.narrowed(antenna, offset, heading, seconds, bias, quantum, *seen) and (
-            self.alone or super().narrowed(antenna, offset, heading, seconds, bias, quantum, yaw, place)
+        seen = (bias, yaw, place) if self.alone else (bias.copy(), yaw.copy(), place.copy())
+        return self._whole.narrowed(antenna, offset, heading, seconds, quantum, *seen) and (
+            self.alone or super().narrowed(antenna, offset, heading, seconds, quantum, bias, yaw, place)
         )
 
-    def remember(self, bias: NDArray[np.float64], slack: float, quantum: float) -> None:
+    def remember(
+        self,
+        bias: NDArray[np.float64],
+        slack: float,
+        quantum: float,
+        yaw: NDArray[np.float64],
+        place: NDArray[np.float64],
+    ) -> None:
         """Keep it for the whole window."""
-        self._whole.remember(bias, slack, quantum)
+        self._whole.remember(bias, slack, quantum, yaw, place)
 
 
 class PlanarSet:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from drivers.compiled import compiled
 from drivers.config import EncodersConfig
 from drivers.samples import WheelTicks
-from estimator.attitude import MAP_YAW, UNKNOWN_TILT, UNKNOWN_YAW, AttitudeChain
+from estimator.attitude import EARTH_YAW, MAP_YAW, UNKNOWN_TILT, UNKNOWN_YAW, AttitudeChain
 from estimator.bounded_pose import PlanarEllipsoid
 from estimator.config import FilterConfig, RobotConfig
 from estimator.gps_window import GpsWindow
@@ -201,7 +201,11 @@ class PositionChain:
     def remember(self) -> None:
         """Keep the fix last given to the window, if the way since the one before is long enough."""
         around = self._attitude.tube.before(int(self.tube.times[self.tube.newest, 0]))
-        self.window.remember(self._attitude.bias[2], self.turned_around(around), self.quantum)
+        turns = self._attitude.tube
+        self.window.remember(
+            self._attitude.bias[2], self.turned_around(around), self.quantum, turns.box[turns.newest, EARTH_YAW],
+            self.tube.box[self.tube.newest, EARTH][:2],
+        )  # fmt: skip
 
     def ellipsoid(self, on_earth: bool) -> PlanarEllipsoid | None:
         """Boxes know of none."""

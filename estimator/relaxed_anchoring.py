@@ -15,8 +15,8 @@ class RelaxedAnchoring(Anchoring):
         turns = self._attitude.tube
         seconds = int(turns.times[around, 0]) * 1e-9, int(turns.times[turns.newest, 1]) * 1e-9
         return self._position.window.narrowed(
-            now.antenna, offset, turns.heading[turns.newest], seconds, self._attitude.bias[2],
-            self._position.quantum, now.yaws[1], now.box[EARTH],
+            now.antenna, offset, turns.heading[turns.newest], seconds, self._position.quantum,
+            now.bias, now.yaws[1], now.box[EARTH],
         )  # fmt: skip
 
     def _in_map(self, now: Narrowed, offset: NDArray[np.float64]) -> bool:

@@ -12,9 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.compiled import compiled
-from estimator.gps_window import CELLS, ROUNDING, GpsWindow, chain
+from estimator.chaining import Chain, chain
+from estimator.fan import support
+from estimator.gps_window import GpsWindow
 from estimator.interval import add, down, mid, reach, sub, up, widen
+from estimator.odometry_block import ROUNDING
 
+CELLS = 16
 ROUNDS = 6
 """Of paving at most, each with cells as fine as the last one left them."""
 Floats = NDArray[np.float64]
@@ -49,8 +53,8 @@ class RelaxedWindow(GpsWindow):
         offset: Floats,
         heading: Floats,
         seconds: tuple[float, float],
-        bias: Floats,
         quantum: float,
+        bias: Floats,
         yaw: Floats,
         place: Floats,
     ) -> bool:
@@ -63,7 +67,7 @@ class RelaxedWindow(GpsWindow):
             return False
         return contract_by_most(
             k, self._wrong, self._antenna, self._offset, self._heading, self._seconds, self._way, self._by_bias,
-            self._error, self._bias, seconds[1], quantum, bias, self._drift, yaw, place[:2],
+            self._error, self._bias, seconds[1], quantum, self._drift, bias, yaw, place[:2],
         )  # fmt: skip
 
     def _level(self, height: Floats, quantum: float) -> bool:
@@ -76,8 +80,8 @@ class RelaxedWindow(GpsWindow):
             ends[i] = add((self._heights[i, 0], self._heights[i, 1]), rise)
         return relaxed(ends, k + 1, k + 1 - self._wrong, height)
 
-    def remember(self, bias: Floats, slack: float, quantum: float) -> None:
-        """Keep the fix last given to `narrowed`, in any case: the window is of fixes in succession."""
+    def remember(self, bias: Floats, slack: float, quantum: float, yaw: Floats, place: Floats) -> None:
+        """Keep the fix last given to `narrowed`, whole and in any case: the window is of fixes in succession."""
         if self.count == self._of - 1:
             self._let_go_of_the_oldest()
         self._begin_block(bias, slack, quantum)
@@ -143,20 +147,20 @@ def contract_by_most(
     reference: Floats,
     now_s: float,
     quantum: float,
-    bias: Floats,
     drift: float,
+    bias: Floats,
     yaw: Floats,
     place: Floats,
 ) -> bool:
     """Chain, and pave; see RelaxedWindow.narrowed."""
     if count < wrong:
         return True
-    q, slope, half = np.empty((count + 1, 2)), np.empty((count + 1, 2)), np.empty((count + 1, 2))
-    chain(count, offset, heading, seconds, way, by_bias, error, reference, now_s, quantum, bias, drift, q, slope, half)
-    h = reach((bias[0], bias[1]), 0.5 * (bias[0] + bias[1]))
+    ways = chain(
+        count, offset, heading, seconds, way, by_bias, error, reference, now_s, quantum, bias[0], bias[1], drift
+    )
     for _ in range(ROUNDS):
         width = yaw[1] - yaw[0]
-        if not pave_relaxed(count, wrong, antenna, q, slope, half, h, yaw, place):
+        if not pave_relaxed(count, wrong, antenna, ways, yaw, place):
             return False
         if yaw[1] - yaw[0] > 0.9 * width:
             break
@@ -168,14 +172,11 @@ def pave_relaxed(
     count: int,
     wrong: int,
     antenna: Floats,
-    q: Floats,
-    slope: Floats,
-    half: Floats,
-    h: float,
+    ways: Chain,
     yaw: Floats,
     place: Floats,
 ) -> bool:
-    """As gps_window.pave, where up to `wrong` of the count + 1 fixes may contradict; False if no cell is left.
+    """As paving.pave, where up to `wrong` of the count + 1 fixes may contradict; False if no cell is left.
 
     A yaw that may be anything is paved once around; what is left of the circle is the arc beside its widest gap.
     """
@@ -191,7 +192,7 @@ def pave_relaxed(
         if cell == CELLS - 1 and not around:
             last = yaw[1]
         for j in range(count + 1):
-            boxes_at(j, mid((first, last)), reach((first, last), mid((first, last))), antenna, q, slope, half, h, ends)
+            boxes_at(j, mid((first, last)), reach((first, last), mid((first, last))), antenna, ways, ends)
         room[:] = place
         if agreed(ends, count + 1, wrong, room):
             left[cell] = True
@@ -212,18 +213,16 @@ def pave_relaxed(
 
 
 @compiled
-def boxes_at(
-    j: int, psi: float, w: float, antenna: Floats, q: Floats, slope: Floats, half: Floats, h: float, ends: Floats
-) -> None:
+def boxes_at(j: int, psi: float, w: float, antenna: Floats, ways: Chain, ends: Floats) -> None:
     """SMF equation 23: ends[j] [2, 2], where base_link is by fix j, for yaw in psi ± w."""
-    if not half[j, 0] < np.inf:
+    if j < ways.oldest:
         ends[j, :, 0], ends[j, :, 1] = -np.inf, np.inf
         return
     c, s = cos(psi), sin(psi)
     kappa = min(0.5 * w * w, 2.0)
-    ux, uy = c * q[j, 0] - s * q[j, 1], s * q[j, 0] + c * q[j, 1]
-    fx = abs(c * slope[j, 0] - s * slope[j, 1]) * h + abs(c) * half[j, 0] + abs(s) * half[j, 1]
-    fy = abs(s * slope[j, 0] + c * slope[j, 1]) * h + abs(s) * half[j, 0] + abs(c) * half[j, 1]
+    ux, uy = c * ways.q[j, 0] - s * ways.q[j, 1], s * ways.q[j, 0] + c * ways.q[j, 1]
+    fx = abs(c * ways.slope[j, 0] - s * ways.slope[j, 1]) * ways.h + support(ways.fan[j], c, -s)
+    fy = abs(s * ways.slope[j, 0] + c * ways.slope[j, 1]) * ways.h + support(ways.fan[j], s, c)
     rx = w * abs(uy) + 0.5 * kappa * abs(ux) + fx + w * fy
     ry = w * abs(ux) + 0.5 * kappa * abs(uy) + fy + w * fx
     ux *= 1.0 - 0.5 * kappa

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bench.prove_poses import LOSSES, STAMPS, Case, prove_poses
-from estimator import attitude, gps_window, interval, motion, observations, position
+from estimator import attitude, gps_window, interval, motion, observations, paving, position
 
 
 @pytest.mark.parametrize(
@@ -94,13 +94,13 @@ def tilt_strip_inverted(patch: pytest.MonkeyPatch) -> None:
 
 def window_bounds_halved(patch: pytest.MonkeyPatch) -> None:
     """A fix is worth twice what it is worth."""
-    right = gps_window.contract_by_window
+    right = paving.contract_by_window
 
     def wrong(count: int, antenna: Any, *rest: Any) -> bool:
         middle = antenna.mean(axis=2, keepdims=True)
         return right(count, middle + 0.4 * (antenna - middle), *rest)
 
-    patch.setattr(gps_window, "contract_by_window", wrong)
+    patch.setattr("estimator.gps_window.contract_by_window", wrong)
 
 
 def offset_inverted(patch: pytest.MonkeyPatch) -> None:
