@@ -172,6 +172,9 @@ class GpsConfig:
     rtk_fixed_horizontal_m: Positive | None = None
     """Half-width of an RTK fixed solution (quality 4), if the owner vouches for one; used in place of GST and HDOP."""
     rtk_fixed_vertical_m: Positive | None = None
+    velocity_bound_mps: Positive | None = None
+    """Half-width of the antenna's velocity at the fix, east and north each, as speed and course tell it, with what
+    their digits round away; at standstill too. None: velocities are not used."""
     antenna_x_m: float = 0.0
     antenna_y_m: float = 0.0
     antenna_z_m: float = 0.0

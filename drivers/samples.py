@@ -106,7 +106,7 @@ class Fix:
     bound_m: Vector3
     """Half-widths (east, north, up): the true antenna is inside. Infinite where nothing tells one."""
     ground_velocity_mps: tuple[float, float] | None = None
-    """(east, north) as the receiver states it, from its speed and course; it declares no bound: never for sets."""
+    """(east, north) as the receiver states it, from its speed and course; used where the owner declares a bound."""
 
 
 Sample: TypeAlias = Scan | WheelTicks | InertialSample | Fix

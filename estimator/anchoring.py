@@ -7,12 +7,13 @@ from numpy.typing import NDArray
 
 from drivers.config import GpsConfig
 from drivers.samples import Fix
-from estimator.attitude import UNKNOWN_YAW, AttitudeChain
+from estimator.attitude import UNKNOWN_YAW, AttitudeChain, radians_of
 from estimator.bounded_pose import Anchor
 from estimator.geodesy import TangentPlane
+from estimator.ground_velocity import off_mean, way_along, yaw_by_velocity
 from estimator.inconsistency import Journal, least_excess
-from estimator.interval import down, meet, up
-from estimator.observations import anchored, anchored_by_all, lever, tied
+from estimator.interval import down, is_empty, meet, up
+from estimator.observations import anchored, anchored_by_all, lever, nearest_copy, tied
 from estimator.position import ANYWHERE_M, EARTH, MAP, PositionChain
 from estimator.travelled import travelled_along, travelled_since
 
@@ -50,6 +51,7 @@ class Anchoring:
         journal: Journal,
     ) -> None:
         self._arm = np.array([gps.antenna_x_m, gps.antenna_y_m, gps.antenna_z_m] if gps else [0.0, 0.0, 0.0])
+        self._velocity_bound = gps.velocity_bound_mps if gps else None
         self._attitude, self._position = attitude, position
         self._journal = journal
         self._plane: TangentPlane | None = None
@@ -79,7 +81,8 @@ class Anchoring:
                 places.box[n].copy(), turns.box[turns.newest, 2:].copy(), self._attitude.bias[2].copy(),
                 self._anchor.copy(), self._points.copy(), antenna + np.array([-wider, wider]),
             )  # fmt: skip
-            agrees = self._on_earth(now, offset, around) and self._in_map(now, in_map)
+            agrees = self._along(now, fix, i, j, wider) and self._on_earth(now, offset, around)
+            agrees = agrees and self._in_map(now, in_map)
             return now if agrees and tied(now.anchor, now.yaws, now.box) else None
 
         now = narrowed(0.0)
@@ -113,6 +116,30 @@ class Anchoring:
         lever(self._attitude.tube.hull(a, b), self._arm, arm)
         since = travelled_since(places.net, places.swing, i, j, places.newest)
         return _outward(arm[:, 0] - since[:, 1], arm[:, 1] - since[:, 0])
+
+    def _along(self, now: Narrowed, fix: Fix, i: int, j: int, wider: float) -> bool:
+        """Contract yaw on Earth by the fix's velocity, which is between the position nodes i and j."""
+        places, turns, attitude = self._position.tube, self._attitude.tube, self._attitude
+        if self._velocity_bound is None or fix.ground_velocity_mps is None:
+            return True
+        i = min(i, j - 1)
+        a, b = turns.before(int(places.times[i, 0])), turns.after(int(places.times[j, 1]))
+        if i < places.begin or a < turns.begin or b >= turns.end:
+            return True
+        seconds = up((int(places.times[j, 1]) - int(places.times[i, 0])) * 1e-9)
+        varied = float(radians_of(turns.effort[b] - turns.effort[a]).sum())
+        varied = up(up(varied) + 1.5001 * attitude.gyro.most_acceleration * seconds * seconds)
+        arm = up(float(np.linalg.norm(self._arm)) * (1.0 + 1e-12))
+        way = way_along(
+            turns.heading[turns.newest], attitude.bias_since(a), places.heading, places.local, i, j,
+        )  # fmt: skip
+        off = off_mean(seconds, self._position.tracks.most_acceleration, arm, varied)
+        seen = yaw_by_velocity(*fix.ground_velocity_mps, self._velocity_bound + wider, way, off)
+        if is_empty(seen):
+            return True
+        yaw = nearest_copy((now.yaws[1, 0], now.yaws[1, 1]), seen)
+        now.yaws[1] = yaw
+        return not is_empty(yaw)
 
     def _on_earth(self, now: Narrowed, offset: NDArray[np.float64], around: int) -> bool:
         """SMF section 7: contract yaw and place on Earth by this fix and those of the window."""

@@ -42,5 +42,6 @@ def sample_stream(
         ]
         if fix_bound_m is not None and k % rates.steps_per_fix == 0:
             lat, lon, alt = world.position(now_ns)
-            readings.append(Fix(stamp, None, lat, lon, alt, 4, 0.8, fix_bound_m))
+            velocity = world.ground_velocity(now_ns)
+            readings.append(Fix(stamp, None, lat, lon, alt, 4, 0.8, fix_bound_m, velocity))
         yield now_ns, readings

@@ -82,6 +82,7 @@ class World:
         self._accel_keys = [(law.channel(f"accel.{i}.x").key, law.channel(f"accel.{i}.y").key) for i in range(4)]
         self._law = law.channel("law").law
         self._gps = [law.channel(f"gps.{a}") for a in ("east", "north", "up")]
+        self._course = [law.channel(f"gps.velocity.{a}") for a in ("east", "north")]
         self.rtk = devices.gps is not None and devices.gps.rtk_fixed_horizontal_m is not None
         """Does the receiver have an RTK fix? It has, if the owner vouches for one."""
         self.gst_sigma_m = (0.01, 0.01, 0.02) if self.rtk else (0.6, 0.6, 1.2)
@@ -224,6 +225,18 @@ class World:
         )
         lat, lon, alt = pymap3d.enu2geodetic(east, north, up, *self.origin)
         return float(lat), float(lon), float(alt)
+
+    def ground_velocity(self, t_ns: int) -> tuple[float, float] | None:
+        """The antenna's velocity east and north, m/s; None where the receiver's owner declares no bound for it."""
+        gps = self.devices.gps
+        if gps is None or gps.velocity_bound_mps is None:
+            return None
+        into, since = self._into_drive(t_ns), t_ns - self.start_ns
+        lever = np.array([gps.antenna_x_m, gps.antenna_y_m, gps.antenna_z_m])
+        swing = rotations(self.pose(t_ns)[np.newaxis])[0] @ np.cross(_between(self.drive.rate, into), lever)
+        east, north = (_between(self.drive.velocity, into) + swing)[:2]
+        bound = 0.999999 * gps.velocity_bound_mps
+        return float(east + bound * self._course[0].at(since)), float(north + bound * self._course[1].at(since))
 
     # What is true.
 

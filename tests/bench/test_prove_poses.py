@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bench.prove_poses import LOSSES, STAMPS, Case, prove_poses
-from estimator import attitude, gps_window, interval, motion, observations, paving, position
+from estimator import anchoring, attitude, gps_window, interval, motion, observations, paving, position
 
 
 @pytest.mark.parametrize(
@@ -113,6 +113,11 @@ def offset_inverted(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(gps_window.GpsWindow, "narrowed", narrowed)
 
 
+def course_taken_for_yaw(patch: pytest.MonkeyPatch) -> None:
+    """A receiver's course is where the robot looks, whether it drives, slides, spins or backs."""
+    patch.setattr(anchoring, "way_along", lambda *rest: ((1.0, 1.0), (0.0, 0.0)))
+
+
 def interpreted(function: Callable[..., Any]) -> Callable[..., Any]:
     """The same function as Python, so that what it calls can be exchanged."""
     python: Callable[..., Any] = getattr(function, "py_func")  # noqa: B009  # mypy knows no dispatchers
@@ -121,7 +126,15 @@ def interpreted(function: Callable[..., Any]) -> Callable[..., Any]:
 
 @pytest.mark.parametrize(
     "broken",
-    [without_remainder, without_slip, noise_halved, tilt_strip_inverted, window_bounds_halved, offset_inverted],
+    [
+        without_remainder,
+        without_slip,
+        noise_halved,
+        tilt_strip_inverted,
+        window_bounds_halved,
+        offset_inverted,
+        course_taken_for_yaw,
+    ],
 )
 def test_a_filter_broken_on_purpose_is_caught(
     broken: Callable[[pytest.MonkeyPatch], None], monkeypatch: pytest.MonkeyPatch
