@@ -80,7 +80,7 @@ class Traversability:
 
 
 def assess(saved: SavedMap, limits: RobotLimits) -> Traversability:
-    """Bounds and verdict of every cell. About 1 us a cell at a window of 13 x 13."""
+    """Bounds and verdict of every cell. About 1.7 us a cell at a window of 13 x 13."""
     sure = np.zeros(saved.low.shape, np.bool_) if saved.surely_hit is None else saved.surely_hit
     reach = reach_of(limits, saved.resolution_m)
     layers = np.full((6, *saved.low.shape), _NAN, np.float32)
