@@ -36,8 +36,6 @@ METHODS = (
     "Kalman, b/3, growing",
 )
 SCANS_A_TURN = 20
-FLAT_M = 0.02
-"""A cell is flat if the truth within two cells of it differs by no more than this."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +45,8 @@ class Window:
     x_m: tuple[float, float]
     y_m: tuple[float, float]
     cell_m: float
+    flat_m: float = 0.02
+    """A cell is flat if the truth within two cells of it differs by no more than this."""
 
     @property
     def first(self) -> tuple[int, int]:
@@ -233,7 +233,7 @@ def true_cells(truth: Truth, hits: Array, window: Window) -> TrueCells:
     corners = truth.surface(*np.meshgrid(fine_x, fine_y))
     top = np.maximum.reduce([corners[:-1, :-1], corners[1:, :-1], corners[:-1, 1:], corners[1:, 1:], centre])
     bottom = np.minimum.reduce([corners[:-1, :-1], corners[1:, :-1], corners[:-1, 1:], corners[1:, 1:], centre])
-    flat = _widest(top, np.maximum) - -_widest(-bottom, np.maximum) <= FLAT_M + 2e-9
+    flat = _widest(top, np.maximum) - -_widest(-bottom, np.maximum) <= window.flat_m + 2e-9
     return TrueCells(centre, count, lowest, highest, flat)
 
 
@@ -256,7 +256,7 @@ def score(name: str, maps: MapSet, true: TrueCells) -> dict[str, float]:
     def rms(values: Array) -> float:
         return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
 
-    steps = [np.diff(layer.estimate, axis=axis) for axis in (0, 1)]
+    steps = [np.diff(error, axis=axis) for axis in (0, 1)]
     level = [true.flat[1:] & true.flat[:-1], true.flat[:, 1:] & true.flat[:, :-1]]
     jumps = np.concatenate([step[flat & np.isfinite(step)] for step, flat in zip(steps, level, strict=True)])
     return {

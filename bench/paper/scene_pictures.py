@@ -72,7 +72,8 @@ def draw_maps(
             linewidth=0,
             antialiased=False,
         )
-        ax.set_title(name, y=0.98)
+        filled = 100 * np.isfinite(surface).mean()
+        ax.set_title(f"{name}\n{filled:.0f} % of the cells", y=0.98)
         ax.set_xlabel("x, to the right [m]", labelpad=9)
         ax.set_ylabel("y, ahead [m]", labelpad=5)
         ax.xaxis.set_major_locator(MaxNLocator(5))
@@ -82,8 +83,6 @@ def draw_maps(
         ax.set_zlim(low - 0.05, high + 0.05)
         ax.set_box_aspect((np.ptp(left), np.ptp(ahead), 1.6 * (high - low + 0.1)), zoom=1.0)
         ax.view_init(elev=32, azim=-112)
-        filled = np.isfinite(surface).mean()
-        ax.text2D(0.5, 0.0, f"{100 * filled:.0f} % of the cells filled", transform=ax.transAxes, ha="center")
         axes.append(ax)
     figure.colorbar(drawn, ax=axes, shrink=0.62, pad=0.04, label="elevation [m]")
     figure.suptitle(f"{title}: the maps beside the truth\n{where}", fontsize=12)
@@ -97,6 +96,7 @@ def draw_profiles(
     window: Window,
     lines: tuple[Line, ...],
     profiles: tuple[TrueProfile, ...],
+    true: TrueCells,
     layers: Mapping[str, Layers],
 ) -> Path:
     """A row a line, a column a map: estimate, bounds and the true ground."""
@@ -120,7 +120,10 @@ def draw_profiles(
                 label=BOUNDS[name],
             )
             ax.stairs(middle, edges, baseline=None, color=colour, linewidth=2.0, label="estimate")
-            ax.plot(profile.y_m, profile.z_m, color="black", linewidth=1.3, label="true ground")
+            ax.plot(profile.y_m, profile.z_m, color="black", linewidth=1.0, label="true ground")
+            hit = "where beams truly hit"
+            ax.vlines(ahead, true.lowest[j], true.highest[j], color="crimson", linewidth=1.6, label=hit)
+            ax.plot(ahead, true.lowest[j], ".", color="crimson", markersize=3)
             ax.set_title(f"{NAMES[name]}, along x = {line.x_m:g} m", fontsize=11)
             ax.grid(alpha=0.3)
             ax.set_xlim(*window.x_m)
@@ -129,7 +132,10 @@ def draw_profiles(
             ax.set_ylabel("elevation [m]")
             if row == 0:
                 ax.legend(loc="upper left", fontsize=8)
-    figure.suptitle(f"{title}: cuts through the maps (no line where a map says nothing)\n{where}", fontsize=12)
+    figure.suptitle(
+        f"{title}: cuts through the maps. Bounds speak of what beams hit; without a line a map says nothing\n{where}",
+        fontsize=12,
+    )
     return _save(figure, path)
 
 

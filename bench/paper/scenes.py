@@ -136,6 +136,7 @@ def reproduce(place: Place, output: Path, short: bool, progress: Progress) -> Ou
             place.window,
             place.lines,
             shown.profiles,
+            shown.true,
             shown.layers,
         ),
     )
@@ -182,7 +183,12 @@ def report(place: Place, runs: list[Run]) -> str:
     """The tables."""
     device = [run for run in runs if run.task.setting == "device"]
     (paper,) = (run for run in runs if run.task.setting == "paper")
-    parts = [_facts(place, runs), _map_table(device[0]), _time_table(device[0], paper), _law_table(device)]
+    parts = [
+        _facts(place, runs),
+        _map_table(device[0], place.window),
+        _time_table(device[0], paper),
+        _law_table(device),
+    ]
     return "\n\n".join([*parts, _surely_table(device)])
 
 
@@ -201,10 +207,12 @@ def _facts(place: Place, runs: list[Run]) -> str:
     )
 
 
-def _map_table(run: Run) -> str:
+def _map_table(run: Run, window: Window) -> str:
     rows = [
-        "**The maps** under white errors (seed 1). RMSE against the true elevation at the cells' centres; roughness is "
-        "the RMS step between neighbours on flat ground; bounds of the Gaussian maps are three sigma.",
+        f"**The maps** under {run.task.errors} errors (seed {run.task.seed}). RMSE against the true elevation at the "
+        "cells' centres; flat is ground that differs by no more than "
+        f"{100 * window.flat_m:.0f} cm within two cells; roughness is the RMS step of the error between neighbours "
+        "there; bounds of the Gaussian maps are three sigma.",
         "",
         "| map | cells filled | RMSE all | where all are filled | flat | truly hit | roughness | bounds hold every "
         "true hit of a cell | mean width there |",
