@@ -11,7 +11,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
-from bench import can_gps_cost, comparison, imu_cost, laser, line_faults, live
+from bench import can_gps_cost, comparison, imu_cost, laser, line_faults, live, store
 from bench.line import LineResult, measure_line
 from bench.machine import heading
 
@@ -95,6 +95,7 @@ SECTIONS: dict[str, tuple[str, Callable[[], str]]] = {
     "line": ("The whole line", _line_section),
     "live": ("The service, live", live.section),
     "kernel": ("The mapping kernel", _kernel_section),
+    "store": ("The store", lambda: "## The store\n\n" + store.section()),
     "comparison": ("Beside other maps", comparison.section),
     "faults": ("Bad lines", line_faults.section),
     "can_gps": ("The encoders' and the receiver's parsers", can_gps_cost.section),
