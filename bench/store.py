@@ -99,10 +99,13 @@ def section() -> str:
             raise SystemExit(f"the store does not hold what was saved: {findings}, {count} of {len(tiles)} tiles")
         rows = save_rows(store, tiles)
         store.close()
+    driven, noise = (size / 1024 for size in sizes)
     return (
-        TEXT + "\n".join(rows) + f"\n\nOn the disk a tile of the drive takes {sizes[0] / 1024:.1f} KiB, one of noise "
-        f"{sizes[1] / 1024:.1f} KiB (in memory 33 KiB). Opening a store of {count} tiles, with every checksum looked at: {1e3 * opened:.0f} ms; reading and "
-        f"decoding them all: {1e3 * read:.0f} ms ({count / read:.0f} tiles/s); {1e3 * used:.0f} ms of CPU in both.\n"
+        "\n".join((TEXT.rstrip("\n"), *rows))
+        + f"\n\nOn the disk a tile of the drive takes {driven:.1f} KiB, one of noise {noise:.1f} KiB (33 in memory). "
+        f"Opening a store of {count} tiles, with every checksum looked at: {1e3 * opened:.0f} ms; "
+        f"reading and decoding them all: {1e3 * read:.0f} ms ({count / read:.0f} tiles/s); "
+        f"{1e3 * used:.0f} ms of CPU in both.\n"
     )
 
 
