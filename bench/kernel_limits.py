@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 
 RINGS, BEAMS_A_RING = 64, 2048
 RING_HALF = np.array([[0.024, 0.024, 0.024, *np.radians([0.3, 0.3, 0.3])]])
+SWEEP_TURNS = 12
 MAP_TILES = (1, 24, 244, 2_441, 24_414)
 """10^3 (in part) to 10^8 cells."""
 
@@ -42,10 +43,18 @@ def sweep_line() -> str:
     low, high = poses - RING_HALF, poses + RING_HALF
     terrain = ElevationMap(MapConfig(resolution_m=0.05), LASER)
     each = cells_a_beam(scan, low, high, ring)
-    p1, p50, p99 = cpu_us(lambda: terrain.insert(scan, low, high, ring), 100)
+    # The quietest of several turns: other programs use the same cores.
+    turns = [cpu_us(lambda: terrain.insert(scan, low, high, ring), 50) for _ in range(SWEEP_TURNS)]
+    p1, p50, p99 = min(turns, key=lambda turn: turn[1])
+    fresh = []
+    for _ in range(SWEEP_TURNS):
+        empty = ElevationMap(MapConfig(resolution_m=0.05), LASER)
+        fresh.append(cpu_us(lambda m=empty: m.insert(scan, low, high, ring), 1, warm=False)[1])  # type: ignore[misc]
     return (
-        f"A sweep of {scan.ranges_m.size:,} beams, {each:.1f} cells a beam: CPU p1 {p1 / 1e3:.2f} ms, "
-        f"p50 {p50 / 1e3:.2f} ms, p99 {p99 / 1e3:.2f} ms; {1e3 * p1 / scan.ranges_m.size:.1f} ns a beam at best.\n"
+        f"A sweep of {scan.ranges_m.size:,} beams, {each:.1f} cells a beam, over ground seen before: CPU p1 "
+        f"{p1 / 1e3:.2f} ms, p50 {p50 / 1e3:.2f} ms, p99 {p99 / 1e3:.2f} ms (quietest of {SWEEP_TURNS} turns of 50; "
+        f"median of all turns' p50 {np.median([turn[1] for turn in turns]) / 1e3:.2f} ms); "
+        f"{1e3 * p1 / scan.ranges_m.size:.1f} ns a beam at best. Into an empty map {min(fresh) / 1e3:.2f} ms at best.\n"
     )
 
 

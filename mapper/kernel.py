@@ -128,7 +128,8 @@ def locate_block(
         fate = fate if (x1 - x0 <= widest) & (y1 - y0 <= widest) else TOO_WIDE
         fate = fate if x0 == x0 else NO_RANGE
         heights[n], heights[LANES + n] = round_up(-z0), round_up(z1)
-        i0, i1, j0, j1 = cell_number(x0), cell_number(x1), cell_number(y0), cell_number(y1)
+        i0, i1 = np.int32(np.floor(x0 if near else 0.0)), np.int32(np.floor(x1 if near else 0.0))
+        j0, j1 = np.int32(np.floor(y0 if near else 0.0)), np.int32(np.floor(y1 if near else 0.0))
         spans[S_FATE + n], spans[S_I0 + n], spans[S_I1 + n] = fate, i0, i1
         spans[S_J0 + n], spans[S_J1 + n] = j0, j1
         one_tile = (((i0 ^ i1) | (j0 ^ j1)) >> TILE_SHIFT == 0) & (fate == USED)
@@ -136,14 +137,6 @@ def locate_block(
         block_column = i0 & -ALIGNED_CELLS
         spans[S_PLACE + n] = (j0 & _IN_TILE) * ROW_BYTES + (block_column & _IN_TILE) * CELL_BYTES
         spans[S_ROWS + n], spans[S_FIRST + n], spans[S_LAST + n] = j1 - j0 + 1, i0 - block_column, i1 - block_column
-
-
-@compiled_into_callers
-def cell_number(cells: float) -> np.int32:
-    """floor, kept where an int32 can be made of it; NaN too."""
-    cells = cells if cells > -_INDEX_LIMIT else -_INDEX_LIMIT
-    cells = cells if cells < _INDEX_LIMIT else _INDEX_LIMIT
-    return np.int32(np.floor(cells))
 
 
 @compiled_into_callers
