@@ -146,5 +146,5 @@ def _figure(size: tuple[float, float]) -> Any:
 
 
 def _save(figure: Any, path: Path) -> Path:
-    figure.savefig(path, dpi=85)
+    figure.savefig(path, dpi=85, pil_kwargs={"optimize": True})
     return path
