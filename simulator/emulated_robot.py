@@ -388,6 +388,7 @@ def emulate_devices(
             latency_ns=_latency_ns("gps", gps.latency_ms, slice_ns),
             quality=4 if world.rtk else 2,
             sigma_m=world.gst_sigma_m,
+            velocity=world.ground_velocity,
         )
     return laser, encoders, emulators
 

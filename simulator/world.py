@@ -6,7 +6,8 @@ configuration declares, less half a step of what the wire can express:
     laser       range_bound_m less half a millimetre (centimetre); scan angle and mount up to their bounds
     gyroscope   noise bound less a step of a float32; bias and scale up to their bounds
     tilt, accel bound less a step of a float32
-    GPS         half-widths less half a unit of NMEA's seventh decimal of a minute, and of the altitude's last decimal
+    GPS         half-widths less half a unit of NMEA's seventh decimal of a minute, and of the altitude's last decimal;
+                velocity bound less half a unit of a thousandth of a knot and of a degree
     encoders    slip only (robot.py): the counter's own rounding is the declared quantisation
 
 Times are true nanoseconds on the host's clock; the drive begins when `begin_drive` says so, before that the robot
@@ -41,6 +42,8 @@ NMEA_STEP_HORIZONTAL_M = 1e-4
 """Half of 1e-7 minutes of a great circle is 0.093 mm."""
 NMEA_STEP_VERTICAL_M = 6e-4
 """Half a millimetre, and room for the sum with the geoid separation."""
+NMEA_STEP_VELOCITY_MPS = 4e-4
+"""Half a thousandth of a knot, and of a degree of course below 10 m/s."""
 
 
 class World:
@@ -235,7 +238,7 @@ class World:
         lever = np.array([gps.antenna_x_m, gps.antenna_y_m, gps.antenna_z_m])
         swing = rotations(self.pose(t_ns)[np.newaxis])[0] @ np.cross(_between(self.drive.rate, into), lever)
         east, north = (_between(self.drive.velocity, into) + swing)[:2]
-        bound = 0.999999 * gps.velocity_bound_mps
+        bound = max(gps.velocity_bound_mps - NMEA_STEP_VELOCITY_MPS, 0.0)
         return float(east + bound * self._course[0].at(since)), float(north + bound * self._course[1].at(since))
 
     # What is true.

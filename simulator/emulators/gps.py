@@ -30,7 +30,7 @@ class GpsEmulator:
         separation_m: float = 40.0,
         utc_start: datetime = datetime(2024, 5, 1, 12, tzinfo=UTC),
         baud: int = 115200,
-        velocity: Callable[[int], tuple[float, float]] | None = None,
+        velocity: Callable[[int], tuple[float, float] | None] | None = None,
     ) -> None:
         """`position(t_ns)` is the antenna's latitude and longitude in degrees and its height above the ellipsoid.
 

@@ -1,5 +1,6 @@
 """What the simulated devices are told, against the truth and the declared bounds."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -8,6 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from drivers.config import DevicesConfig, EncodersConfig, GpsConfig, ImuConfig, LaserConfig
+from drivers.gps_nmea.protocol import GpsProtocol
+from simulator.emulators.gps import GpsEmulator
 from simulator.errors import LAWS, ErrorLaw
 from simulator.robot import RobotModel, rotations
 from simulator.terrain import build_terrain
@@ -138,6 +141,31 @@ def test_fixes_stay_in_their_bounds_and_touch_them(law: str) -> None:
         errors.append(np.array(pymap3d.geodetic2enu(*simulated.position(t), *simulated.origin)) - antenna)
     for axis, bound in enumerate((0.03, 0.03, 0.05)):
         shares(np.array(errors)[:, axis], bound, law)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_velocities_are_the_antennas_to_within_their_bound(law: str) -> None:
+    """Lever arm and digits included; told only where a bound is declared."""
+    simulated = world(law)
+    assert simulated.ground_velocity(DRIVE_NS) is None
+    assert DEVICES.gps is not None
+    gps = replace(DEVICES.gps, velocity_bound_mps=0.05)
+    simulated.devices = replace(DEVICES, gps=gps)
+    receiver = GpsEmulator(
+        simulated.position, start_ns=DRIVE_NS, period_ns=100_000_000, velocity=simulated.ground_velocity
+    )
+    errors = []
+    for t in range(DRIVE_NS, DRIVE_NS + 11_000_000_000, 100_000_000):
+        before, after = (
+            pose[:3] + rotations(pose[None])[0] @ LEVER
+            for pose in (simulated.pose(t - 1_000_000), simulated.pose(t + 1_000_000))
+        )
+        host, sent_ns = GpsProtocol(gps), t + receiver.latency_ns
+        (fix,) = host.receive_data(receiver.data_to_send(sent_ns), sent_ns) + host.finish()
+        assert fix.ground_velocity_mps is not None
+        errors.append(np.array(fix.ground_velocity_mps) - (after - before)[:2] / 2e-3)
+    assert np.abs(errors).max() < 0.05 + 2e-3
+    assert np.abs(errors).max() > 0.035
 
 
 def test_counters_follow_the_tracks() -> None:
