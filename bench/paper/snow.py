@@ -17,7 +17,7 @@ SNOW = Place(
     window=Window((2.0, 8.0), (-2.0, 2.0), 0.10, flat_m=0.12),
     lines=(Line(0.0), Line(0.8), Line(-0.8)),
     duration_s=26.0,
-    short_s=6.0,
+    short_s=5.0,
 )
 
 

@@ -14,7 +14,7 @@ STAIRS = Place(
     window=Window((2.6, 5.2), (-2.0, 2.0), 0.05),
     lines=(Line(1.0),),
     duration_s=38.0,
-    short_s=6.0,
+    short_s=5.0,
 )
 
 
