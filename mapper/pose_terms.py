@@ -77,11 +77,11 @@ P_DIRECTIONS = 38
 D_CENTRE = 0  # of v - s: by r cos th, r sin th, and what does not depend on the beam
 D_PITCH = 3  # of d_2 a_2 x v: the same three
 D_ROLL = 6
-D_MOUNT_YAW = 9  # of d_4 a_4 x u: by (r + d_r) cos th, (r + d_r) sin th
-D_MOUNT_PITCH = 11
-D_SCAN = 13
-D_MOUNT_ROLL = 15  # by (r + d_r) |sin th|: mount roll turns about the axis from which th is measured
-D_SIZE = 16
+D_MOUNT_YAW = 9  # of d_4 a_4 x u: by (r + d_r) cos th, (r + d_r) sin th; its third number is not used
+D_MOUNT_PITCH = 12
+D_MOUNT_ROLL = 16  # by (r + d_r) |sin th| alone: mount roll turns about the axis from which th is measured
+D_SCAN = 18
+D_SIZE = 21
 X_LEFT, X_RIGHT, Y_LEFT, Y_RIGHT, Z_UP = (P_DIRECTIONS + n * D_SIZE for n in range(5))
 P_USABLE = P_DIRECTIONS + 5 * D_SIZE  # 1 or 0
 P_SIZE = P_USABLE + 2
@@ -215,28 +215,22 @@ def bound_remainder(reach: float, d_yaw: float, geometry: Floats, work: Floats, 
 @compiled_without_heap
 def look_along(x: float, y: float, z: float, work: Floats, out: Floats, at: int) -> None:
     """One direction's row: v - s and the first order of each rotation along (x, y, z)."""
-    axis, M, lever = work[W_AXIS : W_AXIS + 7], work[W_M : W_M + 3], work[W_LEVER]
-    for j in range(3):
-        # v - s
-        part = 0.0
-        for i in range(3):
-            share = 1.0 - (work[W_R + i, 3] if j == 2 else work[W_M + i, 3])
-            part += (x if i == 0 else y if i == 1 else z) * share * (lever[i] if j == 2 else M[i, j])
-        out[at + D_CENTRE + j] = part
+    M, R, lever = work[W_M : W_M + 3], work[W_R : W_R + 3], work[W_LEVER]
+    # v - s
+    sx, sy, sz = x * (1.0 - M[0, 3]), y * (1.0 - M[1, 3]), z * (1.0 - M[2, 3])
+    out[at] = sx * M[0, 0] + sy * M[1, 0] + sz * M[2, 0]
+    out[at + 1] = sx * M[0, 1] + sy * M[1, 1] + sz * M[2, 1]
+    sx, sy, sz = x * (1.0 - R[0, 3]), y * (1.0 - R[1, 3]), z * (1.0 - R[2, 3])
+    out[at + 2] = sx * lever[0] + sy * lever[1] + sz * lever[2]
     for k in range(1, 7):
-        # d (n, a, v) = d (n x a) . v
-        ax, ay, az, d = axis[k, 0], axis[k, 1], axis[k, 2], axis[k, 3]
+        # d n . (a x v) = d (n x a) . v
+        ax, ay, az, d = work[k, 0], work[k, 1], work[k, 2], work[k, 3]
         cx, cy, cz = d * (y * az - z * ay), d * (z * ax - x * az), d * (x * ay - y * ax)
-        by_cos, by_sin = cx * M[0, 0] + cy * M[1, 0] + cz * M[2, 0], cx * M[0, 1] + cy * M[1, 1] + cz * M[2, 1]
-        if k < 3:
-            place = at + (D_PITCH if k == 1 else D_ROLL)
-            out[place], out[place + 1] = by_cos, by_sin
-            out[place + 2] = cx * lever[0] + cy * lever[1] + cz * lever[2]
-        elif k == 5:
-            out[at + D_MOUNT_ROLL] = abs(by_sin)
-        else:
-            place = at + (D_MOUNT_YAW if k == 3 else D_MOUNT_PITCH if k == 4 else D_SCAN)
-            out[place], out[place + 1] = by_cos, by_sin
+        place = at + 3 * k
+        out[place] = cx * M[0, 0] + cy * M[1, 0] + cz * M[2, 0]
+        out[place + 1] = cx * M[0, 1] + cy * M[1, 1] + cz * M[2, 1]
+        out[place + 2] = cx * lever[0] + cy * lever[1] + cz * lever[2]
+    out[at + D_MOUNT_ROLL] = abs(out[at + D_MOUNT_ROLL])
 
 
 @compiled_without_heap
