@@ -82,3 +82,17 @@ def test_poses_take_places_from_one_tube_and_turns_from_the_other() -> None:
     assert np.isnan(high[1:]).all()
     assert np.allclose(low[0], [-0.25, 9.75, 19.75, -0.25, 9.75, 19.75])
     assert np.allclose(high[0], [1.75, 11.75, 21.75, 1.75, 11.75, 21.75])
+
+
+def test_a_pose_holds_every_node_that_may_be_next() -> None:
+    """Where stamps overlap, a time may lie in any of several steps: from the last surely before to the first after."""
+    tube = tube_of([(0, 0), (10, 30), (20, 40), (50, 50)])
+    low, high = np.empty((1, 6)), np.empty((1, 6))
+    now = np.array([25])
+    assert poses_between(
+        tube.times, tube.box, tube.swing, tube.begin, tube.end,
+        tube.times, tube.box, tube.swing, tube.begin, tube.end, now, now, low, high,
+    ) == 0  # fmt: skip
+    assert low[0, 0] <= -0.25
+    assert high[0, 0] >= 3.75
+    assert high[0, 5] >= 23.75

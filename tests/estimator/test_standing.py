@@ -1,0 +1,69 @@
+"""A robot that neither turns nor tilts, and sensors that are as wrong as they may be: zero stays inside."""
+
+from dataclasses import replace
+from math import nan, radians
+
+import pytest
+
+from bench.fault_drive import declared
+from drivers.config import ImuConfig
+from drivers.samples import InertialSample, Stamp, Vector3, WheelTicks
+from estimator.config import FilterConfig
+from estimator.filter import Filter
+
+STEP_NS = 10_000_000
+CONFIG = FilterConfig(standstill_s=2.0, standstill_rate_dps=0.0)
+
+
+def standing(imu: ImuConfig) -> Filter:
+    """Nothing known yet; no GPS."""
+    robot, devices = declared()
+    return Filter(robot, CONFIG, replace(devices.encoders, latency_ms=(0.0, 0.0)), imu, None)
+
+
+def read(
+    pose: Filter, k: int, gyro: Vector3 = (0.0, 0.0, 0.0), accel: Vector3 = (0.0, 0.0, nan), tilt_rad: float = 0.0
+) -> None:
+    """All readings of step k."""
+    now_ns = 10**12 + k * STEP_NS
+    stamp = Stamp(now_ns, now_ns)
+    pose.accept(InertialSample(stamp, "HIGHRES_IMU", 0, now_ns // 1000, accel, gyro, (tilt_rad, tilt_rad)))
+    pose.accept(WheelTicks(stamp, 5, 5))
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_bias_that_drifts_at_its_bound_is_inside(sign: float) -> None:
+    """What standing tells of the bias is two seconds old when it may be used: the bias has drifted since."""
+    drift_dps2 = 0.3
+    imu = replace(
+        declared()[1].imu, latency_ms=(0.0, 0.0), gyro_bias_bound_dps=2.0, gyro_bias_drift_dps2=drift_dps2,
+        gyro_noise_bound_dps=0.001, gyro_scale_bound=0.0,
+    )  # fmt: skip
+    pose, checked = standing(imu), 0
+    for k in range(900):
+        bias = sign * radians(-1.4 + drift_dps2 * (k - 0.5) * STEP_NS * 1e-9)
+        read(pose, k, gyro=(0.0, 0.0, bias))
+        now = pose.latest() if k % 10 == 0 else None
+        if now is not None:
+            checked += 1
+            assert now.low[5] <= 0.0 <= now.high[5]
+    assert checked > 50
+    assert pose.guarantee.intact
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_an_acceleration_across_gravity_hides_in_its_norm(axis: int) -> None:
+    """Felt: exactly g, tilted by what the robot's own acceleration may add. It's no proof that the robot is tilted."""
+    robot, devices = declared()
+    most = robot.max_acceleration_mps2 + devices.imu.accel_bound_mps2
+    pose, checked = standing(replace(devices.imu, latency_ms=(0.0, 0.0))), 0
+    for k in range(100):
+        felt = most if (k // 10) % 2 else -most
+        read(pose, k, accel=(felt, 0.0, nan) if axis == 0 else (0.0, felt, nan), tilt_rad=nan)
+        now = pose.latest()
+        if now is not None:
+            checked += 1
+            assert (now.low[3:5] <= 0.0).all()
+            assert (now.high[3:5] >= 0.0).all()
+    assert checked > 50
+    assert pose.guarantee.intact
