@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from drivers.compiled import compiled
 from estimator.chaining import Chain, chain
 from estimator.fan import support
-from estimator.interval import Interval, direction, down, is_empty, mid, reach, sub, up
+from estimator.interval import Interval, direction, down, is_empty, mag, mid, mig, reach, sub, up
 from estimator.observations import nearest_copy
 from estimator.odometry_block import ROUNDING
 
@@ -82,12 +82,33 @@ def grow(hull: NDArray[np.float64], low: float, high: float) -> None:
 def cut(count: int, antenna: NDArray[np.float64], ways: Chain, yaw: Interval) -> Interval:
     """What is left of yaw by the newest fix and each of the others, one after the other."""
     for j in range(count - 1, ways.oldest - 1, -1):
+        if not as_far_apart(count, j, antenna, ways):
+            return 1.0, -1.0
         seen = yaw_by_displacement(count, j, antenna, ways)
         if not is_empty(seen):
             yaw = nearest_copy(yaw, seen)
             if is_empty(yaw):
                 return yaw
     return yaw
+
+
+@compiled
+def as_far_apart(newest: int, j: int, antenna: NDArray[np.float64], ways: Chain) -> bool:
+    """Can two fixes be as far from each other as they are by odometry? Whatever yaw is: a wrong scale shows here."""
+    qx, qy = ways.q[j, 0] - ways.q[newest, 0], ways.q[j, 1] - ways.q[newest, 1]
+    long = sqrt(qx * qx + qy * qy)
+    if not long > 1e-6:
+        return True
+    x, y = qx / long, qy / long
+    bx, by, h = ways.slope[j, 0], ways.slope[j, 1], ways.h
+    along = abs(x * bx + y * by) * h + support(ways.fan[j], x, y) + support(ways.fan[newest], x, y)
+    across = abs(x * by - y * bx) * h + support(ways.fan[j], -y, x) + support(ways.fan[newest], -y, x)
+    east = sub((antenna[newest, 0, 0], antenna[newest, 0, 1]), (antenna[j, 0, 0], antenna[j, 0, 1]))
+    north = sub((antenna[newest, 1, 0], antenna[newest, 1, 1]), (antenna[j, 1, 0], antenna[j, 1, 1]))
+    least = sqrt(mig(east) ** 2 + mig(north) ** 2)
+    most = sqrt(mag(east) ** 2 + mag(north) ** 2)
+    slack = 1.0 + 1e-12
+    return most * slack >= long - along and least <= slack * sqrt((long + along) ** 2 + across**2)
 
 
 @compiled
