@@ -3,7 +3,7 @@
 Yaw is kept twice, counted from the map's x axis and from east (rows MAP_YAW and EARTH_YAW): the anchor's yaw ties them.
 """
 
-from math import isnan, radians
+from math import cos, isnan, radians
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,10 @@ from drivers.samples import InertialSample, Stamp, Vector3
 from estimator.config import FilterConfig, RobotConfig
 from estimator.gyro_packets import Effort, GyroPackets, Packet
 from estimator.inconsistency import Journal, least_excess
-from estimator.interval import Interval, add, is_empty, meet, up, widen
+from estimator.interval import Interval, add, down, is_empty, mag, meet, up, widen
 from estimator.motion import (
     QUANTUM,
+    STEEPEST,
     GyroBounds,
     aged_bias,
     excursion,
@@ -203,6 +204,22 @@ class AttitudeChain:
                 later = meet((tube.box[i, row, 0], tube.box[i, row, 1]), later)
                 if not is_empty(later):
                     tube.box[i, row] = later
+
+    def hold_yaw(self, begin_ns: int, end_ns: int) -> None:
+        """The robot stood still from begin to end: yaw changed by no more than a standing robot's rate allows.
+
+        |ψ'| = |sin φ ω_y + cos φ ω_z| / cos θ, at most √2 times the rate / cos θ.
+        """
+        tube = self.tube
+        first, after, node = tube.before(begin_ns), tube.after(begin_ns), tube.before(end_ns)
+        if first < tube.begin or after >= node or not self.level:
+            return
+        pitch = mag((float(tube.box[node, 1, 0]), float(tube.box[node, 1, 1])))
+        seconds = up((int(tube.times[node, 1]) - begin_ns) * 1e-9)
+        steepest = up(pitch + up(self._still_rate * 2.0 * seconds))
+        if steepest < STEEPEST:
+            change = up(1.4143 * up(self._still_rate * seconds) / down(cos(steepest)))
+            self.narrow_yaw(first, after, node, (-change, change), end_ns)
 
     def learn_bias(self, begin_ns: int, end_ns: int, used_until_ns: int) -> None:
         """The robot stood still: what packets of [begin, end] measured since the last call was bias."""

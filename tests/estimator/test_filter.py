@@ -631,6 +631,30 @@ def test_a_robot_that_stands_learns_its_gyro_bias() -> None:
 
 
 @both
+@pytest.mark.parametrize("share", [-1.0, 0.0, 1.0])
+def test_a_robot_that_stands_keeps_its_yaw_but_for_what_a_standing_robot_may_turn(
+    share: float, config: FilterConfig
+) -> None:
+    """Half a minute at the end of the declared rate: yaw holds it, and boxes are hardly wider than that."""
+    config = replace(config, standstill_rate_dps=0.2)
+    yaw_rate, seconds, tilt = share * np.radians(config.standstill_rate_dps), 30.0, 0.3
+    bias = np.radians(IMU.gyro_bias_bound_dps)
+    poses = Filter(ROBOT, config, replace(ENCODERS, latency_ms=(0.0, 0.0)), IMU, None)
+    for k in range(round(seconds / 0.02)):
+        stamp = Stamp(k * 20_000_000, k * 20_000_000)
+        gyro = (bias, bias + yaw_rate * np.sin(tilt), bias + yaw_rate * np.cos(tilt))
+        poses.accept(InertialSample(stamp, "HIGHRES_IMU", 0, k * 20_000, (nan, nan, nan), gyro, (tilt, 0.0)))
+        poses.accept(WheelTicks(stamp, 0, 0))
+    pose = poses.latest()
+    assert pose is not None
+    assert poses.guarantee.intact
+    turned = yaw_rate * pose.earliest_ns * 1e-9
+    assert pose.low[5] <= turned <= pose.high[5]
+    if config.set == "box":
+        assert pose.high[5] - pose.low[5] < np.radians(3.0 * config.standstill_rate_dps * seconds + 2.7)
+
+
+@both
 @pytest.mark.parametrize("sensor", ["gyro", "tilt", "encoders", "imu_clock"])
 def test_a_reading_that_cannot_be_true_is_named_and_not_used(sensor: str, config: FilterConfig) -> None:
     """One impossible packet: the guarantee is void in its sensor's name, and the pose holds as if it had been lost."""
