@@ -161,7 +161,7 @@ class Row:
             soon = f"{np.median(seconds):.1f} ({max(seconds):.1f}) s, {np.median(metres):.2f} ({max(metres):.2f}) m"
         in_time = sum(o.after_s <= 1.0 or o.after_m <= 1.0 for o in told)
         possible = [o.soonest_m for o in self.outcomes if not np.isnan(o.soonest_m)]
-        soonest = f"{np.median(possible):.1f} ({max(possible):.1f}) m" if possible else "at once"
+        soonest = f"{np.median(possible):.1f} ({max(possible):.1f}) m" if possible else "-"
         back = [o.restored_s for o in told if np.isfinite(o.restored_s)]
         restored = f"{len(back)} of {len(told)}" + (f", {np.median(back):.1f} ({max(back):.1f}) s" if back else "")
         sums = (sum(getattr(o, kind) for o in self.outcomes) for kind in ("untold", "told", "not_taken_back", "checks"))

@@ -5,6 +5,7 @@ machine code in place. So each module's cache folder is keyed by a hash of the m
 NUMBA_CACHE_DIR, where set (the systemd unit sets it), is the parent folder.
 """
 
+import fcntl
 import hashlib
 import os
 import re
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core.caching import IndexDataCacheFile
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -60,6 +62,23 @@ def _cache_folder(module: Path) -> str:
 def _keep_beside(function: Callable[..., Any]) -> None:
     """Have numba keep what it compiles next in the cache folder of the function's module."""
     numba.config.CACHE_DIR = _cache_folder(Path(function.__code__.co_filename))  # type: ignore[attr-defined]
+
+
+_save: Callable[..., None] = IndexDataCacheFile.save
+
+
+def _save_alone(self: Any, key: Any, data: Any) -> None:
+    """Keep machine code while no other process keeps any in this folder.
+
+    numba names a file in its index before it writes the file: of two processes that compile a function for different
+    types at the same time, one would find the other's code under its own types.
+    """
+    with Path(self._cache_path, ".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        _save(self, key, data)
+
+
+IndexDataCacheFile.save = _save_alone  # type: ignore[method-assign]  # there is no hook for it
 
 
 def compiled(function: F) -> F:

@@ -1,6 +1,11 @@
 """Machine code is kept, and is never older than the sources it was made of."""
 
+import threading
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
+
+from numba.core.caching import IndexDataCacheFile
 
 from drivers import compiled
 from mapper import kernel
@@ -19,3 +24,25 @@ def test_each_module_has_a_folder_of_its_own() -> None:
     """... so that an edit on one floor leaves the machine code of the others in place."""
     folders = {compiled._cache_folder(Path(str(module.__file__))) for module in (kernel, compiled)}
     assert len(folders) == 2
+
+
+def test_two_who_keep_code_at_once_never_find_each_others(tmp_path: Path) -> None:
+    """Each pair of signatures kept at the same moment is there afterwards, or not; never one under the other's name."""
+    cache_file: Callable[..., Any] = IndexDataCacheFile
+    for number in range(60):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        ready = threading.Barrier(4)
+
+        def keep(name: str, folder: Path = folder, ready: threading.Barrier = ready) -> None:
+            mine = cache_file(str(folder), "function-1", ("stamp", 1))
+            ready.wait()
+            mine.save(name, name * 1000)
+
+        threads = [threading.Thread(target=keep, args=(name,)) for name in "abcd"]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        kept = cache_file(str(folder), "function-1", ("stamp", 1))
+        assert [kept.load(name) for name in "abcd"] == [name * 1000 for name in "abcd"]
