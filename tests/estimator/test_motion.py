@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from estimator.frames import forward_axis, left_axis, up_axis
-from estimator.motion import GyroBounds, TrackBounds, excursion, rotate, travel, turn, variation
+from estimator.motion import GyroBounds, TrackBounds, excursion, rotate, tracked, travel, turn, variation
 
 STEPS = 400
 """Substeps of the brute-force integration."""
@@ -181,3 +181,13 @@ def test_travel_encloses_drives_with_slip_and_quantised_counts(reverse: bool) ->
             assert np.all(true <= core[:, 1] + pending + 1e-9)
         widths.append(np.max(core[:, 1] - core[:, 0]))
     assert np.median(widths) < count * 0.002  # a quantum at every step would cost as much alone
+
+
+@pytest.mark.parametrize("turn_m", [0.05, -0.05])
+def test_tracks_that_run_against_each_other_slip_each_by_their_own_way(turn_m: float) -> None:
+    """On the spot the mean of the counts is zero, but not that of the slips: the robot may creep ahead or back."""
+    held = tracked(-turn_m, turn_m, True, 0.1, TRACKS).distance
+    for left in (-1.0, 1.0):
+        for right in (-1.0, 1.0):
+            crept = 0.5 * (-turn_m * (1.0 + left * TRACKS.slip) + turn_m * (1.0 + right * TRACKS.slip))
+            assert held[0] <= crept <= held[1]
