@@ -23,7 +23,7 @@ from can.typechecking import CanFilter
 from drivers.errors import PortBusy, PortError, PortLost, PortMissing
 from drivers.kernel_stamps import KernelStamps
 from drivers.track_encoders.codec import CanFrame, pack_can_frame, unpack_can_frame
-from drivers.unlocked_read import EMPTY, READ, SEEN_EMPTY, compile_read, read_when_ready
+from drivers.unlocked_read import EMPTY, INTERRUPTED, READ, SEEN_EMPTY, compile_read, read_when_ready
 
 _READ_BYTES = 65536
 _WRITE_PATIENCE_S = 1.0
@@ -93,7 +93,8 @@ class SerialTransport:
         )
         if count >= 0:
             return self._buffer[:count].tobytes()
-        # The port is gone, or a signal has come.
+        if count == INTERRUPTED:
+            return b""
         try:
             data = os.read(self._fd, _READ_BYTES)
         except (BlockingIOError, InterruptedError):

@@ -28,8 +28,8 @@ _clock_gettime = _C.ExternalFunction("clock_gettime", _C.int32(_C.int32, _C.intp
 
 LOOK_NS = 4_000_000
 """While waiting, a port is looked at this often, so that it is known to have been empty until a little while ago."""
-NOTHING, GONE = 0, -1
-"""Instead of a count of bytes: the time is over; the port can't be waited at or read (ask it for the error)."""
+NOTHING, GONE, INTERRUPTED = 0, -1, -2
+"""Instead of a count of bytes: the time is over; the port can't be read (ask it for the error); a signal has come."""
 
 
 @compiled_unlocked
@@ -42,7 +42,7 @@ def read_when_ready(
     times: NDArray[np.int64],
     buffer: NDArray[np.uint8],
 ) -> int:
-    """Wait until port `fd` has bytes, at most `timeout_ns`; how many were read into `buffer`, or NOTHING, or GONE.
+    """Wait until port `fd` has bytes, at most `timeout_ns`; how many were read into `buffer`, or one of the above.
 
     times [3] goes on from call to call. A read of `full` bytes or more may have left some behind: then the port has not
     been seen empty. watched [2] and moment [2] are room for this call alone.
@@ -54,7 +54,7 @@ def read_when_ready(
         moment[0], moment[1] = wait_ns // _NS, wait_ns % _NS
         ready = _ppoll(watched.ctypes.data, 1, moment.ctypes.data, 0)
         if ready < 0:
-            return GONE
+            return INTERRUPTED
         if ready > 0:
             break
         # It gave up no earlier than it was asked to, and found nothing then.

@@ -13,6 +13,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import wait
 from multiprocessing.pool import Pool
@@ -53,7 +54,7 @@ def in_processes(function: Callable[[Task], Done], tasks: Iterable[Task]) -> Ite
     `function` stands at the top of a module, and tasks and results can be pickled. Raises TerraboundError if a result
     does not come for PATIENCE_S.
     """
-    with _pool() as pool:
+    with _interrupted_once(), _pool() as pool:
         results = pool.imap(function, tasks)
         while True:
             try:
@@ -64,6 +65,24 @@ def in_processes(function: Callable[[Task], Done], tasks: Iterable[Task]) -> Ite
                 raise TerraboundError(
                     f"a worker process has given no result for {PATIENCE_S} s; was one killed for want of memory?"
                 ) from None
+
+
+@contextmanager
+def _interrupted_once() -> Iterator[None]:
+    """Ctrl-C interrupts, and a second one does not interrupt the end that the first began."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(number: int, frame: object) -> None:
+        signal.signal(number, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGINT, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _pool() -> Pool:

@@ -1,6 +1,7 @@
 """Serial ports as the service meets them, over real pseudo-terminals."""
 
 import os
+import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -84,6 +85,20 @@ def test_silence_is_an_empty_read(host: SerialTransport) -> None:
     """Waiting out the timeout gives no bytes and no exception."""
     assert host.read(0.0) == b""
     assert host.read(0.01) == b""
+
+
+def test_a_signal_during_a_read_is_no_lost_port(port: PseudoPort, host: SerialTransport) -> None:
+    """Ctrl-C and the like: the read comes back early with nothing, and the port goes on."""
+    heard: list[int] = []
+    before = signal.signal(signal.SIGALRM, lambda number, frame: heard.append(number))
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.02)
+        while not heard:
+            assert host.read(10) == b""
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    port.write(b"still here")
+    assert read_exactly(host, 10) == b"still here"
 
 
 def test_more_than_the_kernel_holds_arrives_whole(port: PseudoPort, host: SerialTransport) -> None:
