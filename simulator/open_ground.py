@@ -1,7 +1,7 @@
 """Rolling open ground and a long random drive over it: stops, spins, reversals (SMF section 13's scenario)."""
 
 from collections.abc import Iterator
-from math import atan2, cos, hypot, pi, remainder, sin
+from math import atan2, copysign, cos, hypot, pi, remainder, sin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,8 @@ CELL_M = 0.25
 HILLS = ((9.0, 1.0), (3.0, 0.16))
 """(wavelength m, share of the height)."""
 FASTEST_MPS, SLOWEST_MPS = 1.0, 0.4
+LEAST_SPIN_RAD = 0.3
+"""No robot creeps round so slowly that its counters, and whoever reads them, must take it for standing still."""
 RAMP_S = 3.3
 """Gentle: the accelerometers are declared to feel no more than 0.07 g beside gravity."""
 STOP_S = 4.0
@@ -67,6 +69,7 @@ def _wander(random: np.random.Generator, heading: float, duration_s: float) -> I
         if hypot(x, y) > HOME_RADIUS_M:
             chance, aim = 0.0, remainder(atan2(-y, -x) - heading, 2 * pi)
         if chance < 0.6:
+            aim = copysign(max(abs(aim), LEAST_SPIN_RAD), aim)
             spin_s = max(abs(aim) / 0.5, RAMP_S) + RAMP_S
             between = Manoeuvre(spin_s, spin_rps=aim / (spin_s - RAMP_S))
             heading += aim
