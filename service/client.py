@@ -36,7 +36,7 @@ from service.messages import (
     read_pose,
 )
 from service.messages import DigestEntry as Entry
-from service.session import open_session, session_config
+from service.session import ended_callback, open_session, session_config
 from service.topics import (
     ANCHOR,
     ANCHOR_OF,
@@ -282,24 +282,27 @@ class RemoteMap:
         """Take messages until the session is closed."""
         channel: RingChannel[zenoh.Sample] = RingChannel(self._ring)
         subscriber = session.declare_subscriber(f"{ROOT}/{self.robot or '*'}/**", channel)
-        liveliness = session.liveliness()
-        liveliness.declare_subscriber(f"{ROOT}/{self.robot or '*'}", self._liveliness_changed, history=True)
-        with self._changed:
-            if self._stopping:
-                return
-            self._session, self._subscriber = session, subscriber
-            self._cancellation = zenoh.CancellationToken()
-            self.failure = None
-            self._changed.notify_all()
-        try:
-            for sample in subscriber:
-                self._take(sample, time.monotonic_ns())
-        finally:
-            # The session must not be closed under the repairer's hands.
-            self._cancellation.cancel()  # type: ignore[no-untyped-call]  # the stub lacks a return type
+        robots = f"{ROOT}/{self.robot or '*'}"
+        with (
+            ended_callback(self._liveliness_changed) as changed,
+            session.liveliness().declare_subscriber(robots, changed, history=True),
+        ):
             with self._changed:
-                self._session = self._subscriber = None
-                self._changed.wait_for(lambda: not self._repairing)
+                if self._stopping:
+                    return
+                self._session, self._subscriber = session, subscriber
+                self._cancellation = zenoh.CancellationToken()
+                self.failure = None
+                self._changed.notify_all()
+            try:
+                for sample in subscriber:
+                    self._take(sample, time.monotonic_ns())
+            finally:
+                # The session must not be closed under the repairer's hands.
+                self._cancellation.cancel()  # type: ignore[no-untyped-call]  # the stub lacks a return type
+                with self._changed:
+                    self._session = self._subscriber = None
+                    self._changed.wait_for(lambda: not self._repairing)
 
     def _liveliness_changed(self, sample: zenoh.Sample) -> None:
         """A robot came or went (on a thread of Zenoh's); whoever comes is asked what it has."""

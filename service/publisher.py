@@ -35,7 +35,7 @@ from service.messages import (
 )
 from service.publish_config import PublishConfig
 from service.published_map import EarlierSubmap, PublishedMap, Recall, nothing_kept
-from service.session import AddressAway, open_session
+from service.session import AddressAway, ended_callback, open_session
 from service.token_bucket import TokenBucket
 from service.topics import (
     ANCHOR,
@@ -249,7 +249,8 @@ class Publisher:
         """Send whatever is due, sleep until something is; one message at a time, so that nothing waits long."""
         self._listed_root = None
         with (
-            session.declare_queryable(f"{robot_key(self._robot)}/**", self._ask),
+            ended_callback(self._ask) as ask,
+            session.declare_queryable(f"{robot_key(self._robot)}/**", ask),
             session.liveliness().declare_token(robot_key(self._robot)),
         ):
             self.failure = None

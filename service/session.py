@@ -1,11 +1,13 @@
 """A Zenoh session set up for a robot's radio: found by address alone, quick to come back, never full of stale data."""
 
 import json
-from collections.abc import Iterator, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Literal
+from typing import Literal, TypeVar
 
 import zenoh
+from zenoh.handlers import Callback
 
 from drivers.errors import LinkError
 
@@ -13,7 +15,11 @@ LEASE_MS = 4000
 """A peer that was silent for this long is gone."""
 SEND_BUFFER_BYTES = 65536
 """Of each link: what lies in it on a slow link is stale when it arrives."""
+CALLBACK_ENDS_S = 5.0
 _RETRY = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2}
+
+
+Heard = TypeVar("Heard")
 
 
 class AddressAway(LinkError):
@@ -37,6 +43,27 @@ def open_session(
         raise kind(_advice(str(error), listen, connect)) from None
     with session:
         yield session
+
+
+@contextmanager
+def ended_callback(callback: Callable[[Heard], object]) -> Iterator["Callback[Heard]"]:
+    """A handler for one declaration that is undeclared inside the block; after it, the callback's thread has ended.
+
+    Zenoh calls back on a Python thread of its own, which outlives the session by a moment: if the interpreter ends in
+    that moment, the thread is torn out of Zenoh's code, and the process aborts.
+    """
+    last: list[threading.Thread] = []
+    dropped = threading.Event()
+
+    def drop() -> None:
+        last.append(threading.current_thread())
+        dropped.set()
+
+    try:
+        yield Callback(callback, drop)
+    finally:
+        if dropped.wait(CALLBACK_ENDS_S):
+            last[0].join(CALLBACK_ENDS_S)
 
 
 def session_config(

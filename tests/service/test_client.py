@@ -94,6 +94,15 @@ def test_a_copy_equals_the_robots_map_bit_for_bit() -> None:
         assert remote.stats()["malformed"] == 0
 
 
+def test_when_it_is_closed_no_thread_is_left_to_abort_the_process() -> None:
+    """A thread that is inside Zenoh when the interpreter ends aborts it; neither side leaves one, however often."""
+    before, address = set(threading.enumerate()), free_address()
+    for _ in range(20):
+        with publishing(address), RemoteMap(address) as remote:
+            assert remote.wait_alive(WAIT_S)
+        assert set(threading.enumerate()) <= before
+
+
 def test_a_late_joiner_gets_everything() -> None:
     """Who comes after the drive asks for each tile, and finds the robot's name by itself."""
     course, address = Drive(), free_address()
