@@ -16,18 +16,18 @@ class SentTimes:
 
     A byte is read when its last bit has come; and bytes that came behind it with the same read had come, too. They may
     tell that a telegram's first byte was read later than declared; then the declared latency is taken as that of the
-    read's last byte. Telegrams are sent one after the other, so no interval ends before an earlier one.
+    read's last byte. Telegrams are sent one after the other, so no interval begins or ends before an earlier one does.
     """
 
     def __init__(self, config: LaserConfig, counts: Counter[str]) -> None:
         self._counts = counts
         self._latency_ns = latency_ns(config.latency_ms)
         self._phase_ns = latency_ns(config.mirror_phase_ms)
-        self._latest_ns = _NEVER_NS
+        self._earliest_ns = self._latest_ns = _NEVER_NS
 
     def restart(self) -> None:
         """The port was opened."""
-        self._latest_ns = _NEVER_NS
+        self._earliest_ns = self._latest_ns = _NEVER_NS
 
     def of(self, frame: Frame, byte_ns: int) -> Stamp:
         """The end of the mirror turns that a telegram tells of; `byte_ns`: what a byte takes on the line."""
@@ -38,5 +38,6 @@ class SentTimes:
         if surely > at_most:
             self._counts["late_telegrams"] += 1
             at_most += int(on_line * (1 + CLOCK_TOLERANCE))
+        self._earliest_ns = max(self._earliest_ns, frame.stamp_ns - at_most)
         self._latest_ns = max(self._latest_ns, frame.stamp_ns - surely)
-        return Stamp(frame.stamp_ns - at_most, self._latest_ns).shifted(*self._phase_ns)
+        return Stamp(self._earliest_ns, self._latest_ns).shifted(*self._phase_ns)

@@ -1,6 +1,6 @@
 """Driver and emulated scanner, wired mouth to mouth in virtual time."""
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import replace
 from random import Random
@@ -14,9 +14,11 @@ from drivers.config import LaserConfig
 from drivers.samples import Scan
 from drivers.sick_lms.error_memory import ErrorEntry
 from drivers.sick_lms.findings import status_findings
+from drivers.sick_lms.framing import Frame
 from drivers.sick_lms.measurements import CM, MM, TURN_NS
 from drivers.sick_lms.protocol import SickLmsProtocol
 from drivers.sick_lms.range_telegrams import RangeTelegram
+from drivers.sick_lms.sent_times import SentTimes
 from drivers.sick_lms.startup import STEPS, TRANSITIONS, WAITS_MS, Outcome, State
 from drivers.sick_lms.telegrams import POWER_ON, VARIANTS, Command, DeviceType, Mode, Variant, answer, request
 from simulator.emulators.sick_lms import FACTORY_RECORD, SickLmsEmulator
@@ -376,10 +378,23 @@ def test_stamps_never_run_backward_and_a_slow_adapter_is_told() -> None:
     wire.run(5.0)
 
     wire.check_scans()
-    latest = [scan.stamp.latest_ns for scan in wire.scans]
-    assert latest == sorted(latest)
+    for end in ("earliest_ns", "latest_ns"):
+        ends = [getattr(scan.stamp, end) for scan in wire.scans]
+        assert ends == sorted(ends)
     assert wire.protocol.counts["late_telegrams"] > 0
     assert any("latency_ms" in finding for finding in wire.protocol.findings)
+
+
+def test_a_telegram_that_came_late_was_not_sent_before_the_one_ahead_of_it() -> None:
+    """A late telegram may have been on its way for long, but not since before an earlier one began."""
+    counts: Counter[str] = Counter()
+    times = SentTimes(replace(CONFIG, latency_ms=(0.0, 6.0), mirror_phase_ms=(0.0, 0.0)), counts)
+    punctual = times.of(Frame(b"\xb0", 1000 * MS, bytes_read=1, place=0), 20_000)
+    late = times.of(Frame(b"\xb0", 1001 * MS, bytes_read=600, place=600), 20_000)
+
+    assert counts["late_telegrams"] == 1
+    assert late.earliest_ns == punctual.earliest_ns == 1000 * MS - 6 * MS - 20_000
+    assert late.latest_ns == punctual.latest_ns
 
 
 @pytest.mark.parametrize("length", [30, 32, 34])
