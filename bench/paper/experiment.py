@@ -85,12 +85,20 @@ def _interrupted_once() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def _pool() -> Pool:
-    """Workers that never hear Ctrl-C, which is the parent's matter: not even while they start."""
+@contextmanager
+def _pool() -> Iterator[Pool]:
+    """Workers that never hear Ctrl-C, which is the parent's matter. They end with the block."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    pool = None
     try:
-        return multiprocessing.get_context("spawn").Pool(len(os.sched_getaffinity(0)), _end_with_parent)
+        pool = multiprocessing.get_context("spawn").Pool(len(os.sched_getaffinity(0)), _end_with_parent)
+        # A Ctrl-C that waited interrupts here, where the workers that it finds are ended in order.
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        yield pool
     finally:
+        if pool is not None:
+            pool.terminate()
+            pool.join()
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
