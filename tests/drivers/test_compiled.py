@@ -5,30 +5,28 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from numba.core.caching import IndexDataCacheFile
-
 from drivers import compiled
+from drivers.code_cache import CacheFile
+from drivers.code_folder import code_folder, sources
 from mapper import kernel
 
 
 def test_machine_code_is_keyed_by_the_module_and_by_all_that_it_imports() -> None:
     """A callee or a constant edited in another file makes the caller's machine code anew."""
-    sources = {
-        str(path.relative_to(Path(kernel.__file__).parents[1])) for path in compiled._sources(Path(kernel.__file__))
-    }
-    assert {"mapper/kernel.py", "mapper/grid.py", "mapper/projection.py", "drivers/compiled.py"} <= sources
-    assert "mapper/elevation_map.py" not in sources, "an edit above the kernel must not cost a compilation"
+    found = {str(path.relative_to(Path(kernel.__file__).parents[1])) for path in sources(Path(kernel.__file__))}
+    assert {"mapper/kernel.py", "mapper/grid.py", "mapper/projection.py", "drivers/compiled.py"} <= found
+    assert "mapper/elevation_map.py" not in found, "an edit above the kernel must not cost a compilation"
 
 
 def test_each_module_has_a_folder_of_its_own() -> None:
     """... so that an edit on one floor leaves the machine code of the others in place."""
-    folders = {compiled._cache_folder(Path(str(module.__file__))) for module in (kernel, compiled)}
+    folders = {code_folder(Path(str(module.__file__))) for module in (kernel, compiled)}
     assert len(folders) == 2
 
 
 def test_two_who_keep_code_at_once_never_find_each_others(tmp_path: Path) -> None:
     """Each pair of signatures kept at the same moment is there afterwards, or not; never one under the other's name."""
-    cache_file: Callable[..., Any] = IndexDataCacheFile
+    cache_file: Callable[..., Any] = CacheFile
     for number in range(60):
         folder = tmp_path / str(number)
         folder.mkdir()
