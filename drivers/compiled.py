@@ -39,3 +39,8 @@ def compiled_without_heap(function: F) -> F:
 def compiled_into_callers(function: F) -> F:
     """The same for a small step of a hot path: its machine code becomes part of each caller's."""
     return cast(F, kept_on_disk(numba.njit(forceinline=True, error_model="numpy", **_BARE)(function)))
+
+
+def only_as_compiled(function: Callable[..., Any]) -> None:
+    """Have `function` raise TypeError for types it was not compiled for: to compile anew would take a second, live."""
+    cast(Any, function).disable_compile()

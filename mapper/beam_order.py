@@ -9,48 +9,61 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.compiled import compiled
+from drivers.compiled import compiled, compiled_into_callers
 from drivers.samples import Scan
 from mapper.laser_geometry import Floats, beam_table
 
-_FLOAT64, _INT32 = np.dtype(np.float64), np.dtype(np.int32)
+_INT32 = np.dtype(np.int32)
 
 
 class BeamOrder:
     """Keeps what scans of one pattern have in common: order, pose numbers, cosines and sines. A scanner has few."""
 
     def __init__(self) -> None:
-        self._angles = (0, 0.0, 0.0)
-        self._given: NDArray[np.int32] = np.empty(0, np.int32)
-        self._order: NDArray[np.int64] | None = None
-        self.directions: Floats = np.empty((2, 0))
-        """[2, n] cosines and sines of the beams, in order."""
+        self._size, self._first_rad, self._step_rad, self._in_order = 0, 0.0, 0.0, True
+        self._known: NDArray[np.int32] | None = None
+        """The pattern of poses that all is arranged for, if nobody can write to it."""
+        self.order: NDArray[np.uint32] = np.empty(0, np.uint32)
+        """[n] numbers of the beams, in order."""
         self.pose_index: NDArray[np.int32] = np.empty(0, np.int32)
         """[n] which pose each was shot from, in order."""
+        self.beams: Floats = np.empty((3, 0))
+        """[3, n] cosines and sines of the beams, in order, and room for their ranges: for `put_in_order`."""
 
-    def ranges(self, scan: Scan, pose_index: NDArray[np.int32]) -> Floats:
-        """The scan's distances [n], and from then on `directions` and `pose_index`, in the order of `pose_index`."""
-        angles = (scan.ranges_m.size, scan.angle_min_rad, scan.angle_increment_rad)
-        # What nobody can write to still holds what it held.
-        known = angles == self._angles and pose_index is self._given and not pose_index.flags.writeable
-        if not known:
-            self._arrange(angles, pose_index)
-        if self._order is None:
-            return plain(scan.ranges_m, _FLOAT64)
-        return np.asarray(scan.ranges_m[self._order], np.float64)
+    def arrange(self, scan: Scan, pose_index: NDArray[np.int32]) -> None:
+        """Bring `order`, `pose_index` and `beams` into the order of the scan's pose numbers."""
+        if (
+            pose_index is not self._known
+            or scan.ranges_m.size != self._size
+            or scan.angle_min_rad != self._first_rad
+            or scan.angle_increment_rad != self._step_rad
+        ):
+            self._arrange(scan, pose_index)
 
-    def _arrange(self, angles: tuple[int, float, float], pose_index: NDArray[np.int32]) -> None:
-        if pose_index.shape != (angles[0],):
-            raise ValueError(f"need pose_index [{angles[0]}]; got {list(pose_index.shape)}")
+    def _arrange(self, scan: Scan, pose_index: NDArray[np.int32]) -> None:
+        beams, first, step = scan.ranges_m.size, scan.angle_min_rad, scan.angle_increment_rad
+        if pose_index.shape != (beams,):
+            raise ValueError(f"need pose_index [{beams}]; got {list(pose_index.shape)}")
         plainly = plain(pose_index, _INT32)
-        order = None if rising(plainly) else np.argsort(plainly, kind="stable")
-        if angles != self._angles or order is not None or self._order is not None:
-            self.directions = np.empty((2, angles[0]))
-            beam_table(angles[1], angles[2], *self.directions)
-        if order is not None:
-            self.directions, plainly = np.ascontiguousarray(self.directions[:, order]), plainly[order]
-        self.pose_index = plainly
-        self._angles, self._given, self._order = angles, pose_index, order
+        sorted_already = rising(plainly)
+        same_angles = (beams, first, step) == (self._size, self._first_rad, self._step_rad)
+        if not (same_angles and sorted_already and self._in_order):
+            self.order, self.beams = np.arange(beams, dtype=np.uint32), np.empty((3, beams))
+            beam_table(first, step, self.beams[0], self.beams[1])
+        if not sorted_already:
+            order = np.argsort(plainly, kind="stable")
+            self.order, plainly, self.beams[:2] = order.astype(np.uint32), plainly[order], self.beams[:2, order]
+        self.pose_index, self._in_order = plainly, sorted_already
+        self._size, self._first_rad, self._step_rad = beams, first, step
+        # What nobody can write to still holds what it held.
+        self._known = None if pose_index.flags.writeable else pose_index
+
+
+@compiled_into_callers
+def put_in_order(ranges: Floats, order: NDArray[np.uint32], ordered: Floats) -> None:
+    """A scan's distances [n] in order."""
+    for n in range(order.size):
+        ordered[n] = ranges[order[n]]
 
 
 @compiled

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.compiled import only_as_compiled
 from drivers.config import LaserConfig
 from drivers.samples import Scan
 from estimator.config import RobotConfig
@@ -29,6 +30,8 @@ from mapper.tile import NO_CELL, NOWHERE, Tile, sealed_tile, unseen_tile
 _MAP_NORESERVE = 0x4000
 """Linux's; Python names it from 3.13 on."""
 _FLOAT64 = np.dtype(np.float64)
+_new_tuple = tuple.__new__
+"""Twice as fast as InsertResult's own, which goes through Python."""
 _TILES_AT_A_TIME = 64
 """So many tiles (2 MiB) are made ready together ..."""
 _TILES_SPARE = 16
@@ -64,7 +67,6 @@ class ElevationMap:
         self.submap = submap
         self._geometry = laser_geometry(laser)
         self._order = BeamOrder()
-        self._poses = np.empty((1, P_SIZE))
         self._scratch = np.zeros(kernel.WORK_SIZE + B_SIZE)
         self._spans = np.zeros(kernel.S_SIZE, np.int32)
         self._heights = np.zeros(2 * LANES, np.float32)
@@ -76,17 +78,19 @@ class ElevationMap:
             self._patches = track_patches(
                 config.contact, robot.track_length_m, robot.track_gauge_m, config.resolution_m
             )
-        self._slot_ns = round(config.evidence_slot_ms * 1e6)
+        self._slot_ns = round(config.evidence_slot_ms * 1e6) if config.evidence_slots else 0
         # Room for all tiles there may ever be: memory that nobody has touched costs nothing.
         most = config.max_tiles
         self._numbers = np.zeros(kernel.N_SIZE, np.int64)
         self._numbers[kernel.N_MOST] = most
+        self._outcome = self._numbers[: kernel.N_READY + 1]
         self._table = np.zeros(1 << (2 * most - 1).bit_length(), np.int32)
         self._keys = np.zeros(most, np.uint64)
         self._dirty = np.zeros(most, np.bool_)
         self._sure = np.zeros((most, TILE_SIDE), np.uint64)
         self._pool = _untouched_pool(most, 1 + config.evidence_slots if config.evidence_slots else 1)
         self._make_ready()
+        self._make_room(1)
         self._compile()
 
     def insert(self, scan: Scan, low: Floats, high: Floats, pose_index: NDArray[np.int32]) -> InsertResult:
@@ -95,12 +99,17 @@ class ElevationMap:
         low, high: [m, 6] in the map frame, axes as estimator.bounded_pose.AXES. pose_index: [n], n = beams; a number
         outside 0..m-1 means that the beam has no pose.
         """
-        ranges = self._order.ranges(scan, pose_index)
-        self._insert(self._plane(scan.stamp.earliest_ns), ranges, plain(low, _FLOAT64), plain(high, _FLOAT64))
-        numbers = self._numbers.tolist()
-        if numbers[kernel.N_READY] - numbers[kernel.N_TILES] < _TILES_SPARE:
+        ranges, earliest_ns = scan.ranges_m, scan.stamp.earliest_ns
+        self._order.arrange(scan, pose_index)
+        try:
+            self._insert(earliest_ns, ranges, low, high)
+        except TypeError:
+            # Not as the kernel was compiled for: another layout, another type, or read-only.
+            self._insert(earliest_ns, *(plain(array, _FLOAT64) for array in (ranges, low, high)))
+        used, no_range, no_pose, too_wide, too_far, beyond_cap, tiles, ready = self._outcome.tolist()
+        if ready - tiles < _TILES_SPARE:
             self._make_ready()
-        return InsertResult(len(pose_index), *numbers[: kernel.FATES])
+        return _new_tuple(InsertResult, (ranges.size, used, no_range, no_pose, too_wide, too_far, beyond_cap))
 
     def insert_contact(self, time_ns: int, low: Floats, high: Floats) -> None:
         """Take what the tracks touched when base_link was somewhere in the pose box [low, high], both [6].
@@ -201,6 +210,7 @@ class ElevationMap:
         """Do everything once with nothing, so that the machine code is there: no scan and no tile waits for it."""
         rising(self._order.pose_index)
         self._insert(0, np.empty(0), np.zeros((1, 6)), np.zeros((1, 6)))
+        only_as_compiled(kernel.insert_beams)
         self.insert_contact(0, np.full(6, np.nan), np.full(6, np.nan))
         self._layers(0)
         nothing, no_room = unseen_tile(self.submap, 0, 0, 1.0), np.zeros(kernel.N_SIZE, np.int64)
@@ -215,26 +225,29 @@ class ElevationMap:
         slots = self.config.evidence_slots
         return 1 + time_ns // self._slot_ns % slots if slots else 0
 
-    def _insert(self, plane: int, ranges: Floats, low: Floats, high: Floats) -> None:
-        """Beams in the order that `self._order` is in."""
-        if low.shape != high.shape or low.shape[1:] != (6,):
-            raise ValueError(f"need low, high [m, 6]; got {list(low.shape)}, {list(high.shape)}")
-        order = self._order
+    def _insert(self, time_ns: int, ranges: Floats, low: Floats, high: Floats) -> None:
+        """A scan that `self._order` is arranged for."""
+        order, plane, done = self._order, self._plane(time_ns) if self._slot_ns else 0, 0
         if len(low) > len(self._poses):
-            self._poses = np.empty((len(low), P_SIZE))
-        done, beams = 0, len(ranges)
+            self._make_room(len(low))
         while True:
-            # fmt: off
             done = kernel.insert_beams(
-                done, ranges, order.directions, order.pose_index, low, high,
-                self._geometry, self.config.resolution_m, self.config.max_footprint_m, plane,
-                self._poses, self._scratch, self._spans, self._heights,
-                self._numbers, self._table, self._keys, self._dirty, self._pool, self._sure,
+                done, plane, ranges, low, high, order.order, order.pose_index, order.beams, *self._memory
             )
-            # fmt: on
-            if done == beams:
+            if done == ranges.size:
                 return
+            if done == kernel.BAD_POSES:
+                raise ValueError(f"need low, high [m, 6]; got {list(low.shape)}, {list(high.shape)}")
             self._make_ready()
+
+    def _make_room(self, poses: int) -> None:
+        """For scans with so many poses."""
+        self._poses = np.empty((poses, P_SIZE))
+        self._memory = (
+            *(self._geometry, self.config.resolution_m, self.config.max_footprint_m),
+            *(self._poses, self._scratch, self._spans, self._heights),
+            *(self._numbers, self._table, self._keys, self._dirty, self._pool, self._sure),
+        )
 
     def _tile(self, index: int) -> Tile:
         ix, iy = tile_indices(int(self._keys[index]))
@@ -270,4 +283,5 @@ def _untouched_pool(tiles: int, planes: int) -> kernel.Cells:
     shape = tiles, planes, kernel.TILE_FLOATS
     # The last block of the last row may reach beyond.
     memory = mmap.mmap(-1, tiles * planes * kernel.TILE_BYTES + mmap.PAGESIZE, flags=flags)
+    memory.madvise(mmap.MADV_HUGEPAGE)
     return np.frombuffer(memory, np.float32, prod(shape)).reshape(shape)

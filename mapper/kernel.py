@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.compiled import compiled, compiled_into_callers, compiled_without_heap
+from mapper.beam_order import put_in_order
 from mapper.cell_blocks import ALIGNED_CELLS, BLOCK_CELLS, CELL_BYTES, ROW_BYTES, hull_blocks
 from mapper.grid import CELL_LIMIT, TILE_CELLS, TILE_SHIFT, TILE_SIDE, tile_key
 from mapper.laser_geometry import Floats, usable_range
@@ -29,6 +30,8 @@ Bits = NDArray[np.uint64]
 
 TILE_FLOATS = 2 * TILE_CELLS
 TILE_BYTES = TILE_CELLS * CELL_BYTES
+BAD_POSES = -1
+"""In place of a beam's number: the pose boxes have the wrong shape."""
 FREE = 0
 """In the hash table: no tile here; a tile stands as its number + 1."""
 UNSEEN = np.float32(-np.inf)
@@ -46,11 +49,11 @@ TOO_WIDE = 3
 TOO_FAR = 4
 BEYOND_CAP = 5
 FATES = 6
-N_TOTALS = FATES
-N_TILES = 2 * FATES  # in use
-N_READY = N_TILES + 1  # in use, or unseen everywhere and for use
-N_MOST = N_TILES + 2  # the memory cap
-N_SIZE = N_TILES + 3
+N_TILES = FATES  # in use
+N_READY = FATES + 1  # in use, or unseen everywhere and for use
+N_MOST = FATES + 2  # the memory cap
+N_TOTALS = FATES + 3
+N_SIZE = N_TOTALS + FATES
 
 # Where the beams of a block end in the grid: rows of LANES int32. First the cells, ...
 S_FATE, S_I0, S_I1, S_J0, S_J1 = (row * LANES for row in range(5))
@@ -213,15 +216,16 @@ def touch_block(
 @compiled_without_heap
 def insert_beams(
     first: int,
+    plane: int,
     ranges: Floats,
-    directions: Floats,
-    pose_index: Indices,
     pose_low: Floats,
     pose_high: Floats,
+    order: NDArray[np.uint32],
+    pose_index: Indices,
+    beams: Floats,
     geometry: Floats,
     resolution_m: float,
     max_footprint_m: float,
-    plane: int,
     poses: Floats,
     scratch: Floats,
     spans: Indices,
@@ -235,11 +239,15 @@ def insert_beams(
 ) -> int:
     """Take beams from `first` on into a plane; return the beam that needs more tiles ready, or n when all are done.
 
-    ranges, pose_index [n]; directions [2, n] cosines, sines; pose_low, pose_high [m, 6]; poses [>= m, P_SIZE],
-    scratch, spans, heights: scratch; numbers [N_SIZE]; table the hash; keys, dirty, pool, sure one row a tile.
+    ranges [n]; pose_low, pose_high [m, 6] (BAD_POSES if they are not); order, pose_index, beams: BeamOrder's; poses
+    [>= m, P_SIZE], scratch, spans, heights: scratch; numbers [N_SIZE]; table the hash; keys, dirty, pool, sure one row
+    a tile.
     """
-    beams, inverse = ranges.size, 1.0 / resolution_m
-    cosines, sines = directions[0], directions[1]
+    if pose_low.shape != pose_high.shape or pose_low.shape[1] != 6:
+        return BAD_POSES
+    count_all, inverse = ranges.size, 1.0 / resolution_m
+    cosines, sines, ordered = beams[0], beams[1], beams[2]
+    put_in_order(ranges, order, ordered)
     work, block = scratch[:WORK_SIZE].reshape(W_ROWS, 4), scratch[WORK_SIZE:]
     for m in range(pose_low.shape[0]):
         prepare_pose(pose_low[m], pose_high[m], geometry, work, poses[m])
@@ -248,13 +256,13 @@ def insert_beams(
             numbers[fate] = 0
 
     n = first
-    while n < beams:
+    while n < count_all:
         m, count = pose_index[n], run_length(n, pose_index)
         if m < 0 or m >= pose_low.shape[0] or poses[m, P_USABLE] != 1.0:
             for k in range(n, n + count):
-                numbers[NO_POSE if usable_range(ranges[k], geometry) else NO_RANGE] += 1
+                numbers[NO_POSE if usable_range(ordered[k], geometry) else NO_RANGE] += 1
         else:
-            box_block(poses[m], geometry, n, count, ranges, cosines, sines, block)
+            box_block(poses[m], geometry, n, count, ordered, cosines, sines, block)
             locate_block(count, inverse, max_footprint_m, block, spans, heights)
             done = touch_block(count, plane, True, spans, heights, numbers, table, keys, dirty, pool, sure)
             if done < count:
@@ -262,4 +270,4 @@ def insert_beams(
         n += count
     for fate in range(FATES):
         numbers[N_TOTALS + fate] += numbers[fate]
-    return beams
+    return count_all

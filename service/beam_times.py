@@ -34,13 +34,12 @@ def beam_times(scan: Scan) -> BeamTimes:
 def _stretches(offsets: bytes) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:
     """The stretch [n] of each shot, first and last shot [m] of each stretch. A scanner has few patterns of shots."""
     offset = np.frombuffer(offsets, np.int64)
-    bins = (offset - offset.min()) // STRETCH_NS
-    _, pose_index = np.unique(bins, return_inverse=True)
-    count = int(pose_index.max()) + 1
-    first = np.full(count, np.iinfo(np.int64).max)
-    last = np.full(count, np.iinfo(np.int64).min)
-    np.minimum.at(first, pose_index, offset)
-    np.maximum.at(last, pose_index, offset)
-    stretches = pose_index.astype(np.int32)
+    times, starts, n = np.unique(offset), list[int](), 0
+    while n < times.size:
+        # Each stretch begins with a shot: so there are as few as can be, whatever pauses a mirror makes.
+        starts.append(n)
+        n = int(np.searchsorted(times, times[n] + STRETCH_NS))
+    first, last = times[starts], times[[*(start - 1 for start in starts[1:]), -1]]
+    stretches = (np.searchsorted(first, offset, side="right") - 1).astype(np.int32)
     stretches.flags.writeable = False
     return stretches, first, last

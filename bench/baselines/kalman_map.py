@@ -18,11 +18,11 @@ from bench.baselines.gaussian_points import (
     prepare_gaussian,
 )
 from bench.baselines.tiled_layers import TiledLayers
-from drivers.compiled import compiled, compiled_unlocked
+from drivers.compiled import compiled, compiled_without_heap
 from drivers.config import LaserConfig
 from drivers.samples import Scan
 from mapper import kernel
-from mapper.beam_order import BeamOrder
+from mapper.beam_order import BeamOrder, put_in_order
 from mapper.grid import CELL_LIMIT, TILE_SHIFT, TILE_SIDE, tile_key
 from mapper.laser_geometry import laser_geometry, usable_range
 from mapper.projection import LANES, run_length
@@ -51,11 +51,12 @@ def fuse(cell: Singles, at: int, z: float, variance: float, travelled_m: float, 
     cell[_HEIGHT, at], cell[_VARIANCE, at] = np.float32(h), np.float32(v)
 
 
-@compiled_unlocked
+@compiled_without_heap
 def fuse_beams(
     ranges: Floats,
-    directions: Floats,
+    order: NDArray[np.uint32],
     pose_index: Indices,
+    beams: Floats,
     means: Floats,
     covariances: Floats,
     geometry: Floats,
@@ -72,20 +73,22 @@ def fuse_beams(
     pool: Singles,
 ) -> None:
     """One scan into the map."""
+    ordered = beams[2]
+    put_in_order(ranges, order, ordered)
     for m in range(means.shape[0]):
         prepare_gaussian(means[m], covariances[m], geometry, bound_sigmas, work, poses[m])
     inverse, limit = 1.0 / resolution_m, float(CELL_LIMIT)
     last_key, last_tile = np.uint64(0), np.int64(-1)
     first = 0
-    while first < ranges.size:
+    while first < ordered.size:
         m, count = pose_index[first], run_length(first, pose_index)
         if m < 0 or m >= means.shape[0]:
             numbers[kernel.NO_POSE] += count
         else:
-            point_block(poses[m], geometry, first, count, ranges, directions[0], directions[1], points)
+            point_block(poses[m], geometry, first, count, ordered, beams[0], beams[1], points)
             for n in range(count):
                 x, y = points[N_CENTRE + n] * inverse, points[N_CENTRE + LANES + n] * inverse
-                if not usable_range(ranges[first + n], geometry):
+                if not usable_range(ordered[first + n], geometry):
                     numbers[kernel.NO_RANGE] += 1
                 elif not (abs(x) < limit and abs(y) < limit):
                     numbers[kernel.TOO_FAR] += 1
@@ -135,11 +138,11 @@ class KalmanMap:
     def insert(self, scan: Scan, mean: Floats, covariance: Floats, pose_index: Indices) -> None:
         """Take a scan in whose beam i was shot from N(mean, covariance)[pose_index[i]]; set `travelled_m` before."""
         order = self._order
-        ranges = order.ranges(scan, pose_index)
+        order.arrange(scan, pose_index)
         layers = self.layers
         # fmt: off
         fuse_beams(
-            ranges, order.directions, order.pose_index, mean, covariance,
+            scan.ranges_m, order.order, order.pose_index, order.beams, mean, covariance,
             self._geometry, self._bound_sigmas, self.resolution_m, self.travelled_m, self._growth,
             self._poses, self._work, self._points, layers.numbers, layers.table, layers.keys, layers.pool,
         )

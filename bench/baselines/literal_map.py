@@ -23,7 +23,7 @@ from drivers.compiled import compiled, compiled_unlocked
 from drivers.config import LaserConfig
 from drivers.samples import Scan
 from mapper import kernel
-from mapper.beam_order import BeamOrder
+from mapper.beam_order import BeamOrder, put_in_order
 from mapper.grid import TILE_SIDE
 from mapper.laser_geometry import G_SCAN_BOUND, laser_geometry
 from mapper.pose_terms import W_ROWS
@@ -35,7 +35,7 @@ Indices = NDArray[np.int32]
 
 @compiled
 def interval_table(directions: Floats, bound_rad: float, out: Floats) -> None:
-    """[4, n] bounds of the cosine, then of the sine, of each beam's angle; directions [2, n]."""
+    """[4, n] bounds of the cosine, then of the sine, of each beam's angle; directions [>= 2, n]."""
     quarter = 0.5 * np.pi
     for i in range(out.shape[1]):
         angle = np.arctan2(directions[1, i], directions[0, i])
@@ -47,8 +47,10 @@ def interval_table(directions: Floats, bound_rad: float, out: Floats) -> None:
 def insert_literally(
     natural: bool,
     ranges: Floats,
-    directions: Floats,
+    order: NDArray[np.uint32],
     pose_index: Indices,
+    beams: Floats,
+    intervals: Floats,
     pose_low: Floats,
     pose_high: Floats,
     geometry: Floats,
@@ -69,21 +71,23 @@ def insert_literally(
     sure: NDArray[np.uint64],
 ) -> None:
     """One scan into the map."""
+    ordered = beams[2]
+    put_in_order(ranges, order, ordered)
     for m in range(pose_low.shape[0]):
         if natural:
             prepare_intervals(pose_low[m], pose_high[m], geometry, mount, matrices, poses[m])
         else:
             prepare_first_order(pose_low[m], pose_high[m], geometry, work, poses[m])
     n = 0
-    while n < ranges.size:
+    while n < ordered.size:
         m, count = pose_index[n], run_length(n, pose_index)
         if m < 0 or m >= pose_low.shape[0]:
             numbers[kernel.NO_POSE] += count
         else:
             if natural:
-                natural_block(poses[m], geometry, n, count, ranges, directions, block)
+                natural_block(poses[m], geometry, n, count, ordered, intervals, block)
             else:
-                first_order_block(poses[m], geometry, n, count, ranges, directions[0], directions[1], block)
+                first_order_block(poses[m], geometry, n, count, ordered, beams[0], beams[1], block)
             kernel.locate_block(count, 1.0 / resolution_m, max_footprint_m, block, spans, heights)
             kernel.touch_block(count, 0, True, spans, heights, numbers, table, keys, dirty, pool, sure)
         n += count
@@ -111,7 +115,7 @@ class LiteralMap:
         )
         self._max_footprint_m = max_footprint_m
         self._order = BeamOrder()
-        self._directions, self._table = np.empty((2, 0)), np.empty((4, 0))
+        self._beams, self._intervals = np.empty((3, 0)), np.empty((4, 0))
         self._poses = np.empty((64, max(F_SIZE, I_SIZE)))
         self._matrices, self._work = np.empty((5, 3, 3, 2)), np.empty((W_ROWS, 4))
         self._block = np.zeros(B_SIZE)
@@ -123,15 +127,14 @@ class LiteralMap:
     def insert(self, scan: Scan, low: Floats, high: Floats, pose_index: Indices) -> None:
         """Take a scan in whose beam i was shot from the pose box [low, high][pose_index[i]]."""
         order = self._order
-        ranges = order.ranges(scan, pose_index)
-        if self._natural and order.directions is not self._directions:
-            self._directions, self._table = order.directions, np.empty((4, ranges.size))
-            interval_table(order.directions, float(self._geometry[G_SCAN_BOUND]), self._table)
-        directions = self._table if self._natural else order.directions
+        order.arrange(scan, pose_index)
+        if self._natural and order.beams is not self._beams:
+            self._beams, self._intervals = order.beams, np.empty((4, scan.ranges_m.size))
+            interval_table(order.beams, float(self._geometry[G_SCAN_BOUND]), self._intervals)
         layers = self.layers
         # fmt: off
         insert_literally(
-            self._natural, ranges, directions, order.pose_index, low, high,
+            self._natural, scan.ranges_m, order.order, order.pose_index, order.beams, self._intervals, low, high,
             self._geometry, self._mount, self.resolution_m, self._max_footprint_m,
             self._poses, self._matrices, self._work, self._block, self._spans, self._heights,
             layers.numbers, layers.table, layers.keys, self._dirty, self._pool, self._sure,

@@ -28,11 +28,11 @@ from bench.baselines.gaussian_points import (
 )
 from bench.baselines.mixture_cells import CELLS_A_STEP, LANES, add_masses, add_normal, masses, normal_borders
 from bench.baselines.tiled_layers import TiledLayers
-from drivers.compiled import compiled, compiled_unlocked
+from drivers.compiled import compiled, compiled_without_heap
 from drivers.config import LaserConfig
 from drivers.samples import Scan
 from mapper import kernel
-from mapper.beam_order import BeamOrder
+from mapper.beam_order import BeamOrder, put_in_order
 from mapper.grid import CELL_LIMIT, TILE_CELLS, TILE_SHIFT, TILE_SIDE, tile_key
 from mapper.laser_geometry import laser_geometry, usable_range
 from mapper.projection import LANES as BEAMS
@@ -172,11 +172,12 @@ def mix_block(
         numbers[fate] += 1
 
 
-@compiled_unlocked
+@compiled_without_heap
 def mix_beams(
     ranges: Floats,
-    directions: Floats,
+    order: NDArray[np.uint32],
     pose_index: Indices,
+    beams: Floats,
     means: Floats,
     covariances: Floats,
     geometry: Floats,
@@ -195,19 +196,21 @@ def mix_beams(
     pool: Singles,
 ) -> None:
     """One scan into the map: points, conditioning, cells."""
+    ordered = beams[2]
+    put_in_order(ranges, order, ordered)
     for m in range(means.shape[0]):
         prepare_gaussian(means[m], covariances[m], geometry, bound_sigmas, work, poses[m])
     n = 0
-    while n < ranges.size:
+    while n < ordered.size:
         m, count = pose_index[n], run_length(n, pose_index)
         if m < 0 or m >= means.shape[0]:
             numbers[kernel.NO_POSE] += count
         else:
-            point_block(poses[m], geometry, n, count, ranges, directions[0], directions[1], points)
+            point_block(poses[m], geometry, n, count, ordered, beams[0], beams[1], points)
             condition_block(count, points, 1.0 / resolution_m, independent, given)
             # fmt: off
             mix_block(
-                count, n, ranges, geometry, resolution_m, points, given, rows, shares, numbers, table, keys, pool,
+                count, n, ordered, geometry, resolution_m, points, given, rows, shares, numbers, table, keys, pool,
             )
             # fmt: on
         n += count
@@ -239,11 +242,11 @@ class MixtureMap:
     def insert(self, scan: Scan, mean: Floats, covariance: Floats, pose_index: Indices) -> None:
         """Take a scan in whose beam i was shot from N(mean, covariance)[pose_index[i]] ([m, 6] and [m, 6, 6])."""
         order = self._order
-        ranges = order.ranges(scan, pose_index)
+        order.arrange(scan, pose_index)
         layers = self.layers
         # fmt: off
         mix_beams(
-            ranges, order.directions, order.pose_index, mean, covariance,
+            scan.ranges_m, order.order, order.pose_index, order.beams, mean, covariance,
             self._geometry, self._bound_sigmas, self.resolution_m, self._independent,
             self._poses, self._work, self._points, self._given, self._rows, self._shares,
             layers.numbers, layers.table, layers.keys, layers.pool,

@@ -37,14 +37,14 @@ def test_an_interlaced_scan_makes_the_map_that_its_poses_make_one_by_one() -> No
 def test_a_pattern_that_changes_in_place_is_noticed() -> None:
     """The same array with other numbers in it is another pattern."""
     order, scan, index = BeamOrder(), rough_scan(), np.arange(721, dtype=np.int32) % 2
-    order.ranges(scan, index)
+    order.arrange(scan, index)
     index[:] = 1 - index
-    ranges = order.ranges(scan, index)
-    assert np.array_equal(ranges, np.concatenate([scan.ranges_m[1::2], scan.ranges_m[::2]]))
+    order.arrange(scan, index)
+    assert np.array_equal(order.order, np.concatenate([np.arange(1, 721, 2), np.arange(0, 721, 2)]))
     assert np.array_equal(order.pose_index, np.sort(index))
 
 
 def test_a_pattern_of_another_length_is_refused() -> None:
     """A pose number for each beam, or an error that says how many."""
     with pytest.raises(ValueError, match=r"need pose_index \[721\]; got \[720\]"):
-        BeamOrder().ranges(rough_scan(), np.zeros(720, np.int32))
+        BeamOrder().arrange(rough_scan(), np.zeros(720, np.int32))

@@ -326,6 +326,10 @@ def test_arrays_that_others_hand_over_need_no_special_layout() -> None:
     assert by_place(terrain.tiles()) == by_place(plain.tiles())
     with pytest.raises(ValueError, match=r"\[181\].*\[180\]"):
         terrain.insert(sweep.scan, sweep.low, sweep.high, sweep.pose_index[1:])
+    with pytest.raises(ValueError, match=r"\[10, 6\].*\[9, 6\]"):
+        terrain.insert(sweep.scan, sweep.low, sweep.high[1:], sweep.pose_index)
+    with pytest.raises(ValueError, match=r"\[10, 5\].*\[10, 5\]"):
+        terrain.insert(sweep.scan, sweep.low[:, 1:].copy(), sweep.high[:, 1:].copy(), sweep.pose_index)
 
 
 def test_the_pool_takes_eight_bytes_a_cell_on_cache_lines() -> None:
