@@ -19,6 +19,7 @@ from mapper.config import MapConfig
 from mapper.elevation_map import ElevationMap
 from mapper.laser_geometry import G_RANGE_MAX, G_RANGE_MIN, Floats, laser_geometry
 from mapper.pose_terms import (
+    D_BOTH,
     D_CENTRE,
     D_MOUNT_PITCH,
     D_MOUNT_ROLL,
@@ -30,7 +31,9 @@ from mapper.pose_terms import (
     P_BULGE,
     P_CONSTANT,
     P_DIRECTIONS,
+    P_FORWARD,
     P_HIGH,
+    P_LEVER_UP,
     P_LOW,
     P_PER_METRE,
     P_RANGE_BOUND,
@@ -97,17 +100,22 @@ class NumpyMap:
 
         along = self.pose[P_DIRECTIONS : P_DIRECTIONS + 5 * D_SIZE].reshape(5, D_SIZE)
         flat, flat_longest = rows * r, rows * (r + self.pose[P_RANGE_BOUND])
-        u = np.abs(part(P_U_COS, 1).T * rows[0] + part(P_U_SIN, 1).T * rows[1])
-        centre = along[:, D_CENTRE : D_CENTRE + 2] @ flat + along[:, D_CENTRE + 2, None]
+        u = part(P_U_COS, 1).T * rows[0] + part(P_U_SIN, 1).T * rows[1]
+        forward, left = part(P_FORWARD, 2)[:, :2] @ flat + part(P_FORWARD, 2)[:, 2, None]
+        up, u = r * u[2] + self.pose[P_LEVER_UP], np.abs(u)
+        centre, roll = (along[:, at : at + 2] @ flat + along[:, at + 2, None] for at in (D_CENTRE, D_ROLL))
+        pitch = along[:, D_PITCH, None] * np.stack((up, up, up, up, forward))
+        both = along[:, D_BOTH, None] * left
         half = np.abs(flat_longest[1]) * along[:, D_MOUNT_ROLL, None]
-        for at in (D_PITCH, D_ROLL):
-            half += np.abs(along[:, at : at + 2] @ flat + along[:, at + 2, None])
         for at in (D_MOUNT_YAW, D_MOUNT_PITCH, D_SCAN):
             half += np.abs(along[:, at : at + 2] @ flat_longest)
-        second = part(P_TURN_TURN, 3) @ (r * u) + part(P_TURN_RANGE, 3) @ u
+        turn_range = part(P_TURN_RANGE, 3) * [[1.0, 1.0, 1.0], [1.0, 1.0, 1.0], [0.0, 0.0, 1.0]]
+        second = part(P_TURN_TURN, 3) @ (r * u) + turn_range @ u
         rest = part(P_CONSTANT, 1).T + r * part(P_PER_METRE, 1).T + second
         half += rest[[0, 0, 1, 1, 2]]
-        above, below = half + centre, half - centre
+        one_sign, two_signs = np.abs(pitch + roll), np.abs(pitch - roll)
+        above = half + np.maximum(one_sign + centre + both, two_signs + centre - both)
+        below = half + np.maximum(one_sign - centre - both, two_signs - centre + both)
         high = part(P_HIGH, 1) + self.between(above)
         low = part(P_LOW, 1) - self.between(below)
         z = np.stack((-low[:, 2], high[:, 2]))
@@ -126,7 +134,7 @@ class NumpyMap:
         """[n, 3] how far along x, y, z, from [5, n] along x and y at both ends of yaw, and z."""
         left, right = ends[[0, 2]], ends[[1, 3]]
         most = np.maximum(left, right)
-        most = most + np.maximum(0.0, self.pose[P_BULGE] * most - 0.25 * np.abs(left - right))
+        most = np.maximum(most, self.pose[P_BULGE] * most + 0.25 * np.minimum(left, right))
         return np.stack((most[0], most[1], ends[4]), axis=-1)
 
 

@@ -11,6 +11,7 @@ from drivers.samples import Scan
 from mapper.fused import fused
 from mapper.laser_geometry import G_RANGE_MAX, G_RANGE_MIN, Floats, beam_table, laser_geometry
 from mapper.pose_terms import (
+    D_BOTH,
     D_CENTRE,
     D_MOUNT_PITCH,
     D_MOUNT_ROLL,
@@ -20,7 +21,10 @@ from mapper.pose_terms import (
     D_SCAN,
     P_BULGE,
     P_CONSTANT,
+    P_FORWARD,
     P_HIGH,
+    P_LEFT,
+    P_LEVER_UP,
     P_LOW,
     P_PER_METRE,
     P_RANGE_BOUND,
@@ -67,61 +71,80 @@ def box_block(
 @compiled_into_callers
 def box(pose: Floats, r: float, c: float, s: float) -> tuple[float, float, float, float, float, float]:
     """Least and most x, y, z of where a beam of range r hits whose angle has cosine c and sine s."""
-    ux = abs(fused(pose[P_U_COS], c, pose[P_U_SIN] * s))
-    uy = abs(fused(pose[P_U_COS + 1], c, pose[P_U_SIN + 1] * s))
-    uz = abs(fused(pose[P_U_COS + 2], c, pose[P_U_SIN + 2] * s))
+    ux = fused(pose[P_U_COS], c, pose[P_U_SIN] * s)
+    uy = fused(pose[P_U_COS + 1], c, pose[P_U_SIN + 1] * s)
+    uz = fused(pose[P_U_COS + 2], c, pose[P_U_SIN + 2] * s)
     longest, bulge = r + pose[P_RANGE_BOUND], pose[P_BULGE]
     rc, rs, lc, ls = r * c, r * s, longest * c, longest * s
+    left, up = triple(pose, P_LEFT, rc, rs), fused(r, uz, pose[P_LEVER_UP])
+    ux, uy, uz = abs(ux), abs(uy), abs(uz)
 
     h = remainder(pose, 0, r, ux, uy, uz)
-    left, right = centre(pose, X_LEFT, rc, rs), centre(pose, X_RIGHT, rc, rs)
-    left_half, right_half = h + turned(pose, X_LEFT, rc, rs, lc, ls), h + turned(pose, X_RIGHT, rc, rs, lc, ls)
-    x0 = pose[P_LOW] - farthest(left_half - left, right_half - right, bulge)
-    x1 = pose[P_HIGH] + farthest(left_half + left, right_half + right, bulge)
+    x0_left, x1_left = extent(pose, X_LEFT, h, up, left, rc, rs, lc, ls)
+    x0_right, x1_right = extent(pose, X_RIGHT, h, up, left, rc, rs, lc, ls)
+    x0 = pose[P_LOW] - farthest(x0_left, x0_right, bulge)
+    x1 = pose[P_HIGH] + farthest(x1_left, x1_right, bulge)
 
     h = remainder(pose, 1, r, ux, uy, uz)
-    left, right = centre(pose, Y_LEFT, rc, rs), centre(pose, Y_RIGHT, rc, rs)
-    left_half, right_half = h + turned(pose, Y_LEFT, rc, rs, lc, ls), h + turned(pose, Y_RIGHT, rc, rs, lc, ls)
-    y0 = pose[P_LOW + 1] - farthest(left_half - left, right_half - right, bulge)
-    y1 = pose[P_HIGH + 1] + farthest(left_half + left, right_half + right, bulge)
+    y0_left, y1_left = extent(pose, Y_LEFT, h, up, left, rc, rs, lc, ls)
+    y0_right, y1_right = extent(pose, Y_RIGHT, h, up, left, rc, rs, lc, ls)
+    y0 = pose[P_LOW + 1] - farthest(y0_left, y0_right, bulge)
+    y1 = pose[P_HIGH + 1] + farthest(y1_left, y1_right, bulge)
 
-    height, half = centre(pose, Z_UP, rc, rs), remainder(pose, 2, r, ux, uy, uz) + turned(pose, Z_UP, rc, rs, lc, ls)
-    return x0, x1, y0, y1, pose[P_LOW + 2] + (height - half), pose[P_HIGH + 2] + (height + half)
-
-
-@compiled_into_callers
-def centre(pose: Floats, at: int, rc: float, rs: float) -> float:
-    """v - s along a direction."""
-    return fused(rc, pose[at + D_CENTRE], fused(rs, pose[at + D_CENTRE + 1], pose[at + D_CENTRE + 2]))
+    z0, z1 = extent(
+        pose, Z_UP, remainder(pose, 2, r, ux, uy, uz), triple(pose, P_FORWARD, rc, rs), left, rc, rs, lc, ls
+    )
+    return x0, x1, y0, y1, pose[P_LOW + 2] - z0, pose[P_HIGH + 2] + z1
 
 
 @compiled_into_callers
-def turned(pose: Floats, at: int, rc: float, rs: float, lc: float, ls: float) -> float:
-    """First order of all rotations but yaw along a direction."""
-    pitch = abs(fused(rc, pose[at + D_PITCH], fused(rs, pose[at + D_PITCH + 1], pose[at + D_PITCH + 2])))
-    roll = abs(fused(rc, pose[at + D_ROLL], fused(rs, pose[at + D_ROLL + 1], pose[at + D_ROLL + 2])))
+def triple(pose: Floats, at: int, rc: float, rs: float) -> float:
+    """What is linear in the point."""
+    return fused(rc, pose[at], fused(rs, pose[at + 1], pose[at + 2]))
+
+
+@compiled_into_callers
+def extent(
+    pose: Floats, at: int, h: float, arm: float, left: float, rc: float, rs: float, lc: float, ls: float
+) -> tuple[float, float]:
+    """How far the point can be against a direction and along it, whatever the errors but yaw's.
+
+    arm: by what pitch moves it; left: by what pitch and roll together do.
+    """
     mount_yaw = abs(fused(lc, pose[at + D_MOUNT_YAW], ls * pose[at + D_MOUNT_YAW + 1]))
     mount_pitch = abs(fused(lc, pose[at + D_MOUNT_PITCH], ls * pose[at + D_MOUNT_PITCH + 1]))
     scan = abs(fused(lc, pose[at + D_SCAN], ls * pose[at + D_SCAN + 1]))
     # Summed in pairs: no sum waits for a long row of others.
-    return ((pitch + roll) + (mount_yaw + mount_pitch)) + fused(abs(ls), pose[at + D_MOUNT_ROLL], scan)
+    half = (h + mount_yaw) + (mount_pitch + fused(abs(ls), pose[at + D_MOUNT_ROLL], scan))
+    # Bilinear in pitch and roll: farthest at one of the four corners, where they have one sign, or two.
+    centre, roll = triple(pose, at + D_CENTRE, rc, rs), triple(pose, at + D_ROLL, rc, rs)
+    one, two = fused(left, pose[at + D_BOTH], centre), fused(-left, pose[at + D_BOTH], centre)
+    one_turn, two_turn = abs(fused(arm, pose[at + D_PITCH], roll)), abs(fused(arm, pose[at + D_PITCH], -roll))
+    return half + larger(one_turn - one, two_turn - two), half + larger(one_turn + one, two_turn + two)
+
+
+@compiled_into_callers
+def larger(a: float, b: float) -> float:
+    """NaN if b is."""
+    return a if a > b else b
 
 
 @compiled_into_callers
 def remainder(pose: Floats, i: int, r: float, ux: float, uy: float, uz: float) -> float:
     """h along x, y or z."""
-    x = fused(r, pose[P_TURN_TURN + 3 * i], pose[P_TURN_RANGE + 3 * i])
-    y = fused(r, pose[P_TURN_TURN + 3 * i + 1], pose[P_TURN_RANGE + 3 * i + 1])
-    z = fused(r, pose[P_TURN_TURN + 3 * i + 2], pose[P_TURN_RANGE + 3 * i + 2])
-    return fused(x, ux, fused(r, pose[P_PER_METRE + i], pose[P_CONSTANT + i])) + fused(y, uy, z * uz)
+    rows, shifts = P_TURN_TURN + 3 * i, P_TURN_RANGE + 3 * i
+    each = fused(pose[rows], ux, fused(pose[rows + 1], uy, fused(pose[rows + 2], uz, pose[P_PER_METRE + i])))
+    once = fused(pose[shifts + 2], uz, pose[P_CONSTANT + i])
+    if i < 2:
+        once = fused(pose[shifts], ux, fused(pose[shifts + 1], uy, once))
+    return fused(r, each, once)
 
 
 @compiled_into_callers
 def farthest(left: float, right: float, bulge: float) -> float:
     """How far a point can be, anywhere between the two ends of yaw."""
-    most = left if left > right else right
-    between = fused(bulge, most, -0.25 * abs(left - right))
-    return most + (between if between > 0.0 else 0.0)
+    most, least = larger(left, right), left if left < right else right
+    return larger(fused(bulge, most, 0.25 * least), most)
 
 
 @compiled_without_heap

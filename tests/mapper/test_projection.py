@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from bench import prove_boxes
+from bench.attained import attained
 from drivers.config import LaserConfig
 from drivers.samples import Scan, Stamp
 from mapper.kernel import round_up
@@ -347,3 +349,16 @@ def test_storage_as_float32_rounds_up_and_only_just() -> None:
         stored = round_up(float(value))
         assert np.float64(stored) >= value
         assert np.float64(stored) <= value + abs(value) * 2.0**-21 + 2.0**-99
+
+
+@pytest.mark.parametrize("level", [0, 1, 2])
+def test_up_to_20_cm_and_one_degree_no_interval_is_wider_than_errors_attain_by_more_than_one_and_a_half_percent(
+    level: int,
+) -> None:
+    """Every interval of every fourth beam, not only their mean, against the farthest points that a search finds."""
+    metres, degrees = prove_boxes.LEVELS[level]
+    case = prove_boxes.a_case(metres, degrees, seed=level)
+    boxes = project(case.scan, prove_boxes.LASER, case.low, case.high, case.index)
+    least, most = attained(prove_boxes.hits, case.middle[::4], case.half[::4], prove_boxes.ANGLES)
+    assert np.all((boxes.low[::4] <= least) & (most <= boxes.high[::4]))
+    assert np.max((boxes.high - boxes.low)[::4] / (most - least)) < 1.015
