@@ -8,8 +8,10 @@ import os
 import signal
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 
 
 class ServiceNotifier:
@@ -72,6 +74,12 @@ class ServiceNotifier:
         except OSError:
             # A full or vanished socket must never stop mapping; the watchdog notices if it matters.
             return
+
+
+def process_age_s() -> float:
+    """Seconds since this process was started, interpreter and all; the kernel tells it in hundredths."""
+    started_ticks = int(Path("/proc/self/stat").read_text().rsplit(")", 1)[1].split()[19])
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - started_ticks / os.sysconf("SC_CLK_TCK")
 
 
 def _watchdog_ns(environment: Mapping[str, str], pid: int) -> int | None:

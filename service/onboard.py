@@ -17,14 +17,17 @@ from estimator.bounded_pose import Anchor, BoundedPose, Guarantee
 from mapper.tile import Tile, join
 from service.config import LoadedConfig
 from service.devices import Device
+from service.lifecycle import process_age_s
 from service.map_file import save_map, save_tiles
 from service.map_keeper import EarlierSubmaps, MapKeeper, Unkept
 from service.messages import TileId, fault_values
 from service.pipeline import Pipeline
+from service.published_map import Recall, nothing_kept
 from service.publisher import MAP_FRAME, MapUpdate, Publisher
 from service.readers import Readers
 from service.rehearsal import rehearse
 from service.rolling_window import RollingWindow
+from service.session_ahead import SessionAhead
 
 IDLE_S = 0.02
 """The pipeline thread looks up this often when no sample comes."""
@@ -89,9 +92,12 @@ class Onboard:
         on_pose: Callable[[BoundedPose], None] | None = None,
         lockstep: bool = False,
         publish: bool = True,
+        ahead: SessionAhead | None = None,
         keep: bool = True,
     ) -> None:
         """`readers` None: its own, of `devices` and with `capture`; others may have been started already.
+
+        `ahead`: the publisher's session, where it is being opened already.
 
         `lockstep`: readers acknowledge their bytes to `clock` once the pipeline has room for more samples.
 
@@ -106,8 +112,11 @@ class Onboard:
         self.queue, self.health = self.readers.queue, self.readers.health
         self.keeper = self._keeper(loaded) if keep and config.store.path is not None else Unkept()
         about = {"resolution_m": config.map.resolution_m}
-        recalled = (self.keeper.recall, config.map.max_tiles) if isinstance(self.keeper, MapKeeper) else ()
-        self.publisher = Publisher(config.publish, config.robot.name, about, *recalled) if publish else Unpublished()
+        recalled: tuple[Recall, int | None] = nothing_kept, None
+        if isinstance(self.keeper, MapKeeper):
+            recalled = self.keeper.recall, config.map.max_tiles
+        robot = config.robot.name
+        self.publisher = Publisher(config.publish, robot, about, *recalled, ahead=ahead) if publish else Unpublished()
         self._window = RollingWindow(config.map, self.keeper)
         self._unsent: dict[TileId, Tile] = {}
         """Tiles that changed since the publisher's last update."""
@@ -124,6 +133,8 @@ class Onboard:
         """The system's time and the clock's when they were last compared, and whether the latter hurried until then."""
         self._counted_ns = 0
         self._uncounted = False
+        self._first_scan_s: float | None = None
+        """Of the process's life, when its first scan was in the map."""
         self._save_wanted = threading.Event()
         self._saver: threading.Thread | None = None
         """Writes the map's file in passing."""
@@ -231,6 +242,8 @@ class Onboard:
                     arrivals += self.queue.take(0)
                 for arrival in arrivals:
                     self.pipeline.step(arrival)
+                if self._first_scan_s is None and self.pipeline.counts["scans"]:
+                    self._first_scan_s = round(process_age_s(), 2)
                 if arrivals or self._uncounted:
                     self._report()
                 self._offer()
@@ -306,7 +319,8 @@ class Onboard:
         """Health as it is published. It goes out far less often than tiles: put together ten times a second."""
         if last or now_ns - self._told_ns > OFFER_PERIOD_NS:
             self._told_ns = now_ns
-            self._told = self.health.snapshot(now_ns) | {"store": self.keeper.state()}
+            own = {"store": self.keeper.state(), "first_scan_s": self._first_scan_s}
+            self._told = self.health.snapshot(now_ns) | own
         return self._told
 
     def _keep_changes(self) -> None:

@@ -11,6 +11,7 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from math import inf
 from typing import Any
@@ -36,6 +37,7 @@ from service.messages import (
 from service.publish_config import PublishConfig
 from service.published_map import EarlierSubmap, PublishedMap, Recall, nothing_kept
 from service.session import AddressAway, ended_callback, open_session
+from service.session_ahead import SessionAhead
 from service.token_bucket import TokenBucket
 from service.topics import (
     ANCHOR,
@@ -102,8 +104,12 @@ class Publisher:
         info: Mapping[str, Any] | None = None,
         recall: Recall = nothing_kept,
         tiles_in_memory: int | None = None,
+        ahead: SessionAhead | None = None,
     ) -> None:
-        """`info` is added to what `.../info` says; beyond `tiles_in_memory`, published tiles are recalled."""
+        """`info` is added to what `.../info` says; beyond `tiles_in_memory`, published tiles are recalled.
+
+        `ahead`: the first session, where it is being opened already.
+        """
         self.counts: Counter[str] = Counter()
         """Messages and bytes sent, deltas and full tiles, questions answered, sessions failed."""
         self.epoch = secrets.token_hex(8)
@@ -113,6 +119,7 @@ class Publisher:
         self.submap = 0
         """The one that is being mapped; set it before `start`."""
         self._config = config
+        self._ahead = ahead
         self._robot = robot
         self._info = {"robot": robot, "epoch": self.epoch, "frame": MAP_FRAME, "format": "docs/tile-format.md"}
         self._info |= {} if info is None else dict(info)
@@ -221,8 +228,7 @@ class Publisher:
         pause_s = FIRST_RETRY_S
         while not self._stopping:
             try:
-                config = self._config
-                with open_session("peer", config.listen, config.connect, config.multicast) as session:
+                with self._session() as session:
                     pause_s = FIRST_RETRY_S
                     self._serve(session)
             except LinkError as error:
@@ -237,6 +243,13 @@ class Publisher:
             with self._wake:
                 self._wake.wait_for(lambda: self._stopping, pause_s)
             pause_s = min(2 * pause_s, LAST_RETRY_S)
+
+    def _session(self) -> AbstractContextManager[zenoh.Session]:
+        """A new session, or the one that was opened ahead."""
+        ahead, self._ahead = self._ahead, None
+        if ahead is not None:
+            return ahead.session()
+        return open_session("peer", self._config.listen, self._config.connect, self._config.multicast)
 
     def _session_failed(self, failure: str) -> None:
         self.failure = failure

@@ -11,6 +11,7 @@ from service.config import LoadedConfig, load
 from service.health import Health
 from service.lifecycle import ServiceNotifier, stop_on_signals
 from service.readers import Readers
+from service.session_ahead import SessionAhead
 
 if TYPE_CHECKING:
     from service.onboard import Onboard
@@ -33,11 +34,12 @@ def run(*, config: Path) -> int:
     record = loaded.config.record.path
     notifier = ServiceNotifier()
     with stop_on_signals() as ended:
+        ahead = SessionAhead(loaded.config.publish)
         capture = None if record is None else unused_path(loaded.path(record), datetime.now(UTC))
         readers = Readers(loaded, SystemClock(), capture=capture)
         readers.open_recording()
         readers.start()
-        onboard = _onboard(loaded, readers)
+        onboard = _onboard(loaded, readers, ahead)
         notifier.ready()
         console = _Console(onboard.health)
         saved_ns = time.monotonic_ns()
@@ -58,12 +60,12 @@ def run(*, config: Path) -> int:
     return 0
 
 
-def _onboard(loaded: LoadedConfig, readers: Readers) -> "Onboard":
+def _onboard(loaded: LoadedConfig, readers: Readers, ahead: SessionAhead) -> "Onboard":
     """Filter, map and publisher, started. Their code is loaded now: meanwhile the sensors are read already."""
     from service.onboard import Onboard
 
     try:
-        onboard = Onboard(loaded, readers.clock, readers=readers)
+        onboard = Onboard(loaded, readers.clock, readers=readers, ahead=ahead)
         onboard.start()
     except BaseException:
         readers.stop()

@@ -188,6 +188,7 @@ def test_kill_9_loses_nothing_that_was_saved_and_mapping_resumes(
         run.wait()
     assert {place.submap for place in tiles} == {0}
 
+    started_s = time.monotonic() - 0.01  # the kernel tells in hundredths
     with terrabound("run", "--config", config) as run, RemoteMap(address) as remote:
         wait_until(lambda: {place.submap for place in remote.tiles} == {0, 1}, run)
         wait_until(lambda: all(place in remote.tiles for place in tiles), run)
@@ -197,6 +198,8 @@ def test_kill_9_loses_nothing_that_was_saved_and_mapping_resumes(
         wait_until(lambda: "store" in remote.health and "submap" in remote.info, run)
         assert remote.info["submap"] == 1
         assert remote.health["store"]["found_clean"] is True
+        wait_until(lambda: remote.health.get("first_scan_s") is not None, run)
+        assert 0.0 < remote.health["first_scan_s"] < time.monotonic() - started_s
         code, said = end(run)
     assert code == 0, said
     store, findings = open_store(tmp_path / "map.db")
