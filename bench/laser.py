@@ -112,7 +112,7 @@ def _any_scan(rng: np.random.Generator) -> NDArray[np.uint8]:
 def _delivers(frame: NDArray[np.uint8]) -> int:
     """Does a driver that streams take it?"""
     size = frame.size
-    if lms_crc(frame, 0, size - 2) != int(frame[-2]) | int(frame[-1]) << 8:
+    if lms_crc(frame.tobytes(), 0, size - 2) != int(frame[-2]) | int(frame[-1]) << 8:
         return 0  # the same checksum, without the rest of the driver around it
     reader = FrameReader(Counter())
     reader.scan_headers, reader.source = frozenset({(366, 0x40B5)}), 0x10

@@ -1,44 +1,26 @@
 """Checksums that no library has."""
 
-import numpy as np
-from numpy.typing import NDArray
-
-from drivers.compiled import compiled
-
-_LMS_POLYNOMIAL = 0x18005
+from fastcrc import crc16
 
 
-def _lms_remainder(value: int) -> int:
-    """`value` modulo the polynomial."""
-    while value >> 16:
-        value ^= _LMS_POLYNOMIAL << value.bit_length() - 17
-    return value
-
-
-_LMS_REMAINDERS = np.array([_lms_remainder(i << 16) for i in range(256)], np.int64)
-
-
-@compiled
-def lms_crc(data: NDArray[np.uint8], start: int, end: int) -> int:
+def lms_crc(data: bytes | bytearray, start: int, end: int) -> int:
     """SICK LMS2xx checksum of `data[start:end]`, from STX to the last byte before the checksum (LMS2XX section 2).
 
-    Not a catalogued CRC-16: the register shifts once a byte, and each byte enters together with the one before it.
-    Eight bytes at a time: the register may grow by eight bits before it is reduced.
+    Not a catalogued CRC-16: the register shifts once a byte, and each byte enters together with the one before it. As
+    polynomials over GF(2), b(i) being the i-th byte from the end, x the shift of the register, and P = 18005h:
+
+        checksum = sum b(i) x^i + sum b(i) x^(i - 1) x^8 mod P      (the last byte, b(0), is before no other)
+                 = S + x^7 (S + b(0)) mod P,    S = sum b(i) x^i
+
+    Every eighth byte together is one number, so S is eight numbers, shifted. The remainder is a library's: a plain CRC
+    of the same polynomial gives M x^16 mod P.
     """
-    register = previous = np.int64(0)
-    at = start
-    while at + 8 <= end:
-        register <<= 8
-        for k in range(8):
-            byte = np.int64(data[at + k])
-            register ^= (previous << 8 | byte) << 7 - k
-            previous = byte
-        register = (register & 0xFFFF) ^ _LMS_REMAINDERS[register >> 16]
-        at += 8
-    while at < end:
-        byte = np.int64(data[at])
-        register = register << 1 ^ (previous << 8 | byte)
-        register = (register & 0xFFFF) ^ _LMS_REMAINDERS[register >> 16]
-        previous = byte
-        at += 1
-    return register  # type: ignore[return-value]  # compiled code hands back a Python int
+    body = bytes(data[start:end])
+    if not body:
+        return 0
+    sum_ = 0
+    for k in range(8):
+        sum_ ^= int.from_bytes(body[-1 - k :: -8], "little") << k
+    sum_ ^= (sum_ ^ body[-1]) << 7
+    high = sum_ >> 16
+    return int(crc16.umts(high.to_bytes((high.bit_length() + 7) // 8, "big"))) ^ (sum_ & 0xFFFF)

@@ -22,8 +22,8 @@ from can.typechecking import CanFilter
 
 from drivers.errors import PortBusy, PortError, PortLost, PortMissing
 from drivers.kernel_stamps import KernelStamps
+from drivers.port_read import EMPTY, INTERRUPTED, READ, SEEN_EMPTY, read_in_machine_code, read_when_ready
 from drivers.track_encoders.codec import CanFrame, pack_can_frame, unpack_can_frame
-from drivers.unlocked_read import EMPTY, INTERRUPTED, READ, SEEN_EMPTY, compile_read, read_when_ready
 
 _READ_BYTES = 65536
 _WRITE_PATIENCE_S = 1.0
@@ -143,9 +143,13 @@ class SerialTransport:
         )
 
 
-def open_serial(port: str, baud: int) -> SerialTransport:
-    """Open the tty `port` exclusively; what it had buffered is thrown away, since nobody knows when that came."""
-    compile_read()
+def open_serial(port: str, baud: int, *, at_once: bool = False) -> SerialTransport:
+    """Open the tty `port` exclusively; what it had buffered is thrown away, since nobody knows when that came.
+
+    `at_once`: even if the machine code that reads punctually (drivers/port_read.py) is not loaded yet.
+    """
+    if not at_once:
+        read_in_machine_code()
     opened_ns = time.monotonic_ns()
     try:
         line = serial.Serial(port, baud, timeout=0, exclusive=True, xonxoff=False, rtscts=False, dsrdtr=False)

@@ -11,14 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.compiled import compiled_unlocked
+from drivers.port_read import EMPTY, GONE, INTERRUPTED, NOTHING, READ, SEEN_EMPTY
 
 POLLIN = 0x0001
 CLOCK_MONOTONIC = 1
 _NS = 1_000_000_000
-
-EMPTY, READ, SEEN_EMPTY = 0, 1, 2
-"""In `times`, monotonic nanoseconds: none of the bytes read came before EMPTY; they were read at READ; and the port was
-last seen empty at SEEN_EMPTY, which may be later."""
 
 _C: Any = numba.types
 # Linux's own calls, found in the C library that Python runs on; struct pollfd is two int32, struct timespec two int64.
@@ -28,8 +25,6 @@ _clock_gettime = _C.ExternalFunction("clock_gettime", _C.int32(_C.int32, _C.intp
 
 LOOK_NS = 4_000_000
 """While waiting, a port is looked at this often, so that it is known to have been empty until a little while ago."""
-NOTHING, GONE, INTERRUPTED = 0, -1, -2
-"""Instead of a count of bytes: the time is over; the port can't be read (ask it for the error); a signal has come."""
 
 
 @compiled_unlocked
@@ -42,11 +37,7 @@ def read_when_ready(
     times: NDArray[np.int64],
     buffer: NDArray[np.uint8],
 ) -> int:
-    """Wait until port `fd` has bytes, at most `timeout_ns`; how many were read into `buffer`, or one of the above.
-
-    times [3] goes on from call to call. A read of `full` bytes or more may have left some behind: then the port has not
-    been seen empty. watched [2] and moment [2] are room for this call alone.
-    """
+    """See drivers/port_read.py."""
     now_ns = _now_ns(moment)
     until_ns, wait_ns = now_ns + timeout_ns, np.int64(0)
     while True:

@@ -27,6 +27,7 @@ class Device:
     name: str
     port: str
     open: Callable[[], Transport]
+    """At once: see `drivers.port_read` for punctual reading."""
     protocol: Callable[[], DeviceProtocol[Sample]]
     stale_after_s: float
     """Silence longer than this is a fault."""
@@ -56,7 +57,7 @@ def wiring(loaded: LoadedConfig) -> tuple[Device, ...]:
             encoder_port,
             (lambda: open_socketcan(encoder_port, encoders.bitrate, messages))
             if framed
-            else (lambda: open_serial(encoder_port, 115200)),
+            else (lambda: open_serial(encoder_port, 115200, at_once=True)),
             encoder_protocol,
             stale_after_s=0.1,
             can_frames=framed,
@@ -94,7 +95,7 @@ def _serial(
 ) -> Device:
     """A device on a serial port."""
     path = _port(loaded, port)
-    return Device(name, path, lambda: open_serial(path, baud), protocol, stale_after_s)
+    return Device(name, path, lambda: open_serial(path, baud, at_once=True), protocol, stale_after_s)
 
 
 def _port(loaded: LoadedConfig, port: str) -> str:

@@ -158,6 +158,7 @@ class Onboard:
         self.pipeline.map.submap = self.publisher.submap = self.keeper.start()
         self.publisher.start()
         self._thread.start()
+        self.readers.read_punctually()
         if not self.readers.started:
             self.readers.start(self._acknowledge if self._lockstep else None)
 

@@ -1,18 +1,16 @@
 """All devices' readers, the queue that they fill, the health that they report to, and the recording that they keep.
 
-They need nothing of filter and map: the service starts them first, and reads its sensors while it loads the rest.
+They need no machine code, and nothing of filter and map: the service starts them first. A scanner is found and set up
+while numba is loaded; what they read before they can read punctually would be used with late stamps, so it isn't used.
 """
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import numpy as np
-
 from drivers.capture import CaptureWriter
-from drivers.checksums import lms_crc
 from drivers.clock import Clock
 from drivers.errors import CaptureError
-from drivers.unlocked_read import compile_read
+from drivers.port_read import read_in_machine_code
 from service.config import LoadedConfig
 from service.devices import Device, can_frames, wiring
 from service.health import Health
@@ -35,6 +33,7 @@ class Readers:
         self.clock = clock
         self.devices = wiring(loaded) if devices is None else devices
         self.queue = SampleQueue()
+        self.queue.keeps = False
         self.health = Health()
         self._loaded = loaded
         self._capture_path = capture
@@ -61,16 +60,20 @@ class Readers:
             self._capture = CaptureWriter(self._capture_path, self._loaded.text, self._loaded.dbc_text(), framed)
 
     def start(self, acknowledge: Callable[[str, int], None] | None = None) -> None:
-        """Open the ports and begin; ports may come and go later. `acknowledge`: see Reader."""
-        # All machine code that readers use must be there: one that compiles and a thread that imports could block each
-        # other.
-        compile_read()
-        lms_crc(np.zeros(4, np.uint8), 0, 4)
+        """Open the ports and begin; ports may come and go later. `acknowledge`: see Reader.
+
+        Until `read_punctually` they converse with their devices, and keep no sample.
+        """
         self._readers = [
             Reader(device, self.clock, self.queue, self.health, self._capture, acknowledge) for device in self.devices
         ]
         for reader in self._readers:
             reader.start()
+
+    def read_punctually(self) -> None:
+        """From now on bytes are stamped as they come, and samples are kept."""
+        read_in_machine_code()
+        self.queue.keeps = True
 
     def stop(self) -> None:
         """Close the ports; what was read stays in the queue."""

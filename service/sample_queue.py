@@ -22,7 +22,9 @@ class SampleQueue:
 
     def __init__(self, capacity: int = 4096) -> None:
         self.dropped: Counter[str] = Counter()
-        """Arrivals lost to a full queue, by device."""
+        """Arrivals lost to a full queue, or put while none were kept, by device."""
+        self.keeps = True
+        """Is kept what is put?"""
         self._capacity = capacity
         self._arrivals: deque[Arrival] = deque()
         self._changed = threading.Condition()
@@ -31,7 +33,7 @@ class SampleQueue:
         """Add arrivals; never waits. A full queue loses its oldest: dropping a measurement is always sound."""
         with self._changed:
             self._arrivals.extend(arrivals)
-            while len(self._arrivals) > self._capacity:
+            while len(self._arrivals) > (self._capacity if self.keeps else 0):
                 self.dropped[self._arrivals.popleft().device] += 1
             self._changed.notify_all()
 

@@ -22,9 +22,6 @@ from heapq import heappop, heappush
 from itertools import islice
 from typing import TypeAlias
 
-import numpy as np
-from numpy.typing import NDArray
-
 from drivers.checksums import lms_crc
 from drivers.sick_lms.plausibility import HEADER_PATTERN, UNASKED, header_fits, payload_fits, status_fits
 from drivers.sick_lms.telegrams import (
@@ -169,19 +166,18 @@ class FrameReader:
         read_end = self.end
         if not self._ends or self._ends[0][0] > read_end:
             return
-        data = np.frombuffer(self._buffer, np.uint8)
         while self._ends and self._ends[0][0] <= read_end:
             end, start = heappop(self._ends)
-            if self._unfinished.pop(start, None) is not None and self._is_frame(data, start, end):
+            if self._unfinished.pop(start, None) is not None and self._is_frame(start, end):
                 insort(self._passed, (start, end))
 
-    def _is_frame(self, data: NDArray[np.uint8], start: int, end: int) -> bool:
+    def _is_frame(self, start: int, end: int) -> bool:
         buffer, first, behind = self._buffer, start - self._origin, end - self._origin
         status = buffer[behind - 3]  # looked at first, because it costs least
         if not status_fits(status) or self.source not in (None, status & SOURCE):
             self._counts["bad_status"] += 1
             return False
-        if lms_crc(data, first, behind - 2) != buffer[behind - 2] | buffer[behind - 1] << 8:
+        if lms_crc(buffer, first, behind - 2) != buffer[behind - 2] | buffer[behind - 1] << 8:
             self._counts["bad_crc"] += 1
             return False
         if not payload_fits(bytes(buffer[first + 4 : behind - 2])):

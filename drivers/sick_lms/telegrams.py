@@ -7,8 +7,6 @@ checksum: command, data and, from the scanner, the status byte at its end.
 from dataclasses import dataclass
 from enum import IntEnum
 
-import numpy as np
-
 from drivers.checksums import lms_crc
 
 STX = 0x02
@@ -111,7 +109,7 @@ def _frame(address: int, payload: bytes) -> bytes:
 
 def checksum(body: bytes) -> int:
     """The checksum that follows `body`."""
-    return lms_crc(np.frombuffer(body, np.uint8), 0, len(body))
+    return lms_crc(body, 0, len(body))
 
 
 @dataclass(frozen=True, slots=True)

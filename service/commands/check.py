@@ -15,6 +15,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from drivers.clock import SystemClock
+from drivers.port_read import read_in_machine_code
 from service.commands.check_bounds import check_bounds
 from service.commands.line_rates import rate_that_is_understood
 from service.config import load
@@ -73,6 +74,7 @@ def check(
     console.print(f"{config}: configuration is valid", markup=False, highlight=False, soft_wrap=True)
     if seconds == 0:
         return 0
+    read_in_machine_code()
     health, queue, ended = Health(), SampleQueue(capacity=1024), threading.Event()
     readers = [Reader(device, SystemClock(), queue, health) for device in devices]
     with stop_on_signals(ended):

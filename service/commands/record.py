@@ -9,6 +9,7 @@ from pathlib import Path
 from drivers.capture import CaptureWriter
 from drivers.clock import SystemClock
 from drivers.errors import CaptureError
+from drivers.port_read import read_in_machine_code
 from service.config import load
 from service.devices import can_frames, wiring
 from service.health import Health
@@ -29,6 +30,7 @@ def record(*, config: Path, output: Path) -> int:
     """
     loaded = load(config)
     devices = wiring(loaded)
+    read_in_machine_code()
     health = Health()
     queue = SampleQueue(capacity=1024)
     ended = threading.Event()

@@ -62,9 +62,10 @@ def run(*, config: Path) -> int:
 
 def _onboard(loaded: LoadedConfig, readers: Readers, ahead: SessionAhead) -> "Onboard":
     """Filter, map and publisher, started. Their code is loaded now: meanwhile the sensors are read already."""
-    from service.onboard import Onboard
-
     try:
+        readers.read_punctually()
+        from service.onboard import Onboard
+
         onboard = Onboard(loaded, readers.clock, readers=readers, ahead=ahead)
         onboard.start()
     except BaseException:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from drivers import port_read
 from drivers.errors import PortBusy, PortError, PortLost, PortMissing
 from drivers.transports import SerialTransport, open_serial, open_socketcan
 from simulator.ports import PseudoPort
@@ -31,6 +32,16 @@ def host(port: PseudoPort) -> Iterator[SerialTransport]:
     transport.close()
 
 
+@pytest.fixture(params=["machine code", "interpreter"])
+def either_way(
+    host: SerialTransport, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> SerialTransport:
+    """The same, read in machine code, and as it is read until that is loaded."""
+    if request.param == "interpreter":
+        monkeypatch.setattr(port_read, "_read", port_read.read_interpreted)
+    return host
+
+
 def read_exactly(transport: SerialTransport, n: int) -> bytes:
     """Read until `n` bytes have come."""
     data = b""
@@ -49,42 +60,42 @@ def write_until_read(port: PseudoPort, n: int) -> bytes:
     return data
 
 
-def test_every_byte_value_passes_unchanged_both_ways(port: PseudoPort, host: SerialTransport) -> None:
+def test_every_byte_value_passes_unchanged_both_ways(port: PseudoPort, either_way: SerialTransport) -> None:
     """XON, XOFF, carriage return, interrupt: all are plain data."""
     port.write(EVERY_BYTE)
-    assert read_exactly(host, 256) == EVERY_BYTE
-    host.write(EVERY_BYTE)
+    assert read_exactly(either_way, 256) == EVERY_BYTE
+    either_way.write(EVERY_BYTE)
     assert write_until_read(port, 256) == EVERY_BYTE
 
 
-def test_a_port_knows_when_it_was_last_empty(port: PseudoPort, host: SerialTransport) -> None:
+def test_a_port_knows_when_it_was_last_empty(port: PseudoPort, either_way: SerialTransport) -> None:
     """No byte of a read came before that; and while a port is waited at, that is never long ago."""
     for patience_ms in (0, 50):
         waiting_ns = time.monotonic_ns()
-        assert host.read(patience_ms / 1000) == b""
+        assert either_way.read(patience_ms / 1000) == b""
         sent_ns = time.monotonic_ns()
         port.write(b"first")
         time.sleep(0.03)  # the time that passes is what is tested
-        assert host.read(10) == b"first"
-        assert waiting_ns + min(patience_ms, 4) * 1_000_000 <= host.empty_ns <= sent_ns
+        assert either_way.read(10) == b"first"
+        assert waiting_ns + min(patience_ms, 4) * 1_000_000 <= either_way.empty_ns <= sent_ns
 
 
-def test_after_a_full_read_the_port_was_not_empty(port: PseudoPort, host: SerialTransport) -> None:
+def test_after_a_full_read_the_port_was_not_empty(port: PseudoPort, either_way: SerialTransport) -> None:
     """What one read left behind may be as old as what it gave."""
-    host.read(0.0)
+    either_way.read(0.0)
     sent_ns = time.monotonic_ns()
     port.write(bytes(20_000))
     received = 0
     while received < 20_000:
         port.write()
-        received += len(host.read(10))
-        assert host.empty_ns <= sent_ns
+        received += len(either_way.read(10))
+        assert either_way.empty_ns <= sent_ns
 
 
-def test_silence_is_an_empty_read(host: SerialTransport) -> None:
+def test_silence_is_an_empty_read(either_way: SerialTransport) -> None:
     """Waiting out the timeout gives no bytes and no exception."""
-    assert host.read(0.0) == b""
-    assert host.read(0.01) == b""
+    assert either_way.read(0.0) == b""
+    assert either_way.read(0.01) == b""
 
 
 def test_a_signal_during_a_read_is_no_lost_port(port: PseudoPort, host: SerialTransport) -> None:
@@ -101,13 +112,13 @@ def test_a_signal_during_a_read_is_no_lost_port(port: PseudoPort, host: SerialTr
     assert read_exactly(host, 10) == b"still here"
 
 
-def test_more_than_the_kernel_holds_arrives_whole(port: PseudoPort, host: SerialTransport) -> None:
+def test_more_than_the_kernel_holds_arrives_whole(port: PseudoPort, either_way: SerialTransport) -> None:
     """What the pty can't take waits in the backlog and follows in order."""
     sent = os.urandom(200_000)
     port.write(sent)
     got = b""
     while len(got) < len(sent):
-        got += host.read(10)
+        got += either_way.read(10)
         port.write()
     assert got == sent
     assert port.dropped_bytes == 0
@@ -131,28 +142,28 @@ def test_bytes_sent_to_nobody_are_gone(port: PseudoPort) -> None:
     assert port.dropped_bytes == 3
 
 
-def test_unplugging_is_seen_at_once(port: PseudoPort, host: SerialTransport) -> None:
+def test_unplugging_is_seen_at_once(port: PseudoPort, either_way: SerialTransport) -> None:
     """The next read says that the port went away, and names it."""
     port.unplug()
     with pytest.raises(PortLost, match=port.path):
-        host.read(10)
+        either_way.read(10)
     with pytest.raises(PortLost, match="went away"):
-        host.write(b"hello")
+        either_way.write(b"hello")
     with pytest.raises(PortLost):
-        host.set_baud(9600)
-    host.close()
-    host.close()
+        either_way.set_baud(9600)
+    either_way.close()
+    either_way.close()
 
 
 def test_last_words_before_unplugging_may_be_read_but_nothing_is_invented(
-    port: PseudoPort, host: SerialTransport
+    port: PseudoPort, either_way: SerialTransport
 ) -> None:
     """Bytes sent just before the plug was pulled come out right or not at all."""
     port.write(b"goodbye")
     port.unplug()
     got: list[bytes] = []
     with pytest.raises(PortLost):
-        got.extend(iter(lambda: host.read(10), None))
+        got.extend(iter(lambda: either_way.read(10), None))
     assert b"goodbye".startswith(b"".join(got))
 
 

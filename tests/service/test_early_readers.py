@@ -1,0 +1,41 @@
+"""The sensors' side of the service, before machine code is there."""
+
+import subprocess
+import sys
+
+from drivers.clock import SystemClock
+from drivers.samples import Stamp, WheelTicks
+from service.config import load
+from service.readers import Readers
+from service.sample_queue import Arrival
+from service.shipped import shipped_config
+
+PROGRAM = """
+import sys
+import service.commands.run
+from drivers.clock import SystemClock
+from service.config import load
+from service.readers import Readers
+from service.shipped import shipped_config
+readers = Readers(load(shipped_config("demo.toml")), SystemClock())
+readers.start()
+assert len(list(readers)) == 4
+readers.stop()
+sys.exit("numba" in sys.modules)
+"""
+
+
+def test_readers_need_no_machine_code() -> None:
+    """They converse with their devices while numba is not even imported; that takes most of a start."""
+    subprocess.run([sys.executable, "-c", PROGRAM], timeout=100, check=True)
+
+
+def test_what_is_not_read_punctually_is_not_used() -> None:
+    """A sample read while the interpreter is busy loading is dropped and counted, not mapped with a late stamp."""
+    readers = Readers(load(shipped_config("demo.toml")), SystemClock())
+    sample = Arrival("encoders", WheelTicks(Stamp(1, 2), 0, 0), 2)
+    readers.queue.put([sample])
+    readers.read_punctually()
+    assert (readers.queue.take(0), readers.queue.dropped) == ([], {"encoders": 1})
+    readers.queue.put([sample])
+    assert readers.queue.take(0) == [sample]
