@@ -54,7 +54,8 @@ def in_processes(function: Callable[[Task], Done], tasks: Iterable[Task]) -> Ite
     `function` stands at the top of a module, and tasks and results can be pickled. Raises TerraboundError if a result
     does not come for PATIENCE_S.
     """
-    with _interrupted_once(), _pool() as pool:
+    with _interrupted_once() as heed_interrupts, _pool() as pool:
+        heed_interrupts()
         results = pool.imap(function, tasks)
         while True:
             try:
@@ -68,38 +69,49 @@ def in_processes(function: Callable[[Task], Done], tasks: Iterable[Task]) -> Ite
 
 
 @contextmanager
-def _interrupted_once() -> Iterator[None]:
-    """Ctrl-C interrupts, and a second one does not interrupt the end that the first began."""
+def _interrupted_once() -> Iterator[Callable[[], None]]:
+    """Ctrl-C interrupts from the call of what is given on, or then; a second one leaves in peace the end that began.
+
+    Interrupted between a worker's birth and its first orders, the parent would leave an orphan that complains.
+    """
     if threading.current_thread() is not threading.main_thread():
-        yield
+        yield lambda: None
         return
+    heeded = came = False
 
     def interrupt(number: int, frame: object) -> None:
-        signal.signal(number, signal.SIG_IGN)
-        raise KeyboardInterrupt
+        nonlocal came
+        came = True
+        if heeded:
+            signal.signal(number, signal.SIG_IGN)
+            raise KeyboardInterrupt
+
+    def heed() -> None:
+        nonlocal heeded
+        heeded = True
+        if came:
+            interrupt(signal.SIGINT, None)
 
     before = signal.signal(signal.SIGINT, interrupt)
     try:
-        yield
+        yield heed
     finally:
         signal.signal(signal.SIGINT, before)
 
 
 @contextmanager
 def _pool() -> Iterator[Pool]:
-    """Workers that never hear Ctrl-C, which is the parent's matter. They end with the block."""
+    """Workers that never hear Ctrl-C, which is the parent's matter, and end with the block."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    pool = None
     try:
         pool = multiprocessing.get_context("spawn").Pool(len(os.sched_getaffinity(0)), _end_with_parent)
-        # A Ctrl-C that waited interrupts here, where the workers that it finds are ended in order.
+    finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    try:
         yield pool
     finally:
-        if pool is not None:
-            pool.terminate()
-            pool.join()
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        pool.terminate()
+        pool.join()
 
 
 def _end_with_parent() -> None:

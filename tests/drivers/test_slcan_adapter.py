@@ -223,7 +223,10 @@ def test_python_can_and_we_write_and_read_the_same_lines(tmp_path: Path) -> None
     """Both ways over a pseudo-terminal: what python-can sends we parse, what we serialise it receives."""
     port = PseudoPort(tmp_path / "can")
     with can.Bus(interface="slcan", channel=port.path, bitrate=500000, sleep_after_open=0.0) as bus:
-        port.read()
+        bus.send(can.Message(arbitration_id=0x7FF, is_extended_id=False))
+        opening = b""
+        while not opening.endswith(b"t7FF0\r"):
+            opening += port.read()
 
         @given(frames)
         def same(frame: CanFrame) -> None:
