@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
-from mapper.tile import Tile, changed, compile_tiles, content_crc, join, snap_outward
+from mapper.tile import Tile, advanced, compile_tiles, content_crc, snap_outward
 from service.messages import DigestEntry, GuaranteeMessage, TileId
 from service.topics import Kind
 
@@ -94,15 +94,16 @@ class PublishedMap:
 
         It is joined to what was published: a tile that had left the map's memory comes with its newest cells alone.
         """
-        place, mine = TileId(tile.submap, tile.ix, tile.iy), snap_outward(tile)
+        place = TileId(tile.submap, tile.ix, tile.iy)
         away, old = self._away.get(place), self.get(place)
-        new = mine if old is None else join(old.tile, mine)
-        if away is None:
-            delta = changed(None if old is None else old.tile, new)
-            version = 1 if old is None else old.version + 1
+        if old is None:
+            new = delta = snap_outward(tile)
         else:
+            new, delta = advanced(old.tile, tile)
+        version = 1 if old is None else old.version + 1
+        if away is not None:
             # What was published of it is known by its CRC alone.
-            delta, version = mine, away.version + 1
+            delta, version = snap_outward(tile), away.version + 1
             if content_crc(new) == away.crc:
                 self._keep(place, PublishedTile(new, away.version))
                 return None

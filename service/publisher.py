@@ -21,7 +21,7 @@ import zenoh
 from drivers.errors import LinkError
 from estimator.bounded_pose import INTACT, Anchor, BoundedPose, Guarantee
 from mapper.tile import Tile
-from mapper.tile_codec import encode
+from mapper.tile_codec import compile_codec, encode
 from service.messages import (
     DigestPart,
     TileId,
@@ -141,9 +141,11 @@ class Publisher:
         self._answers: deque[_Answer] = deque()
         self._update: MapUpdate | None = None
         self._unsent_pose: BoundedPose | None = None
-        self._guarantee = INTACT
+        self._guarantee, self._guarantee_message = INTACT, guarantee_message(INTACT)
         self._beams_until_ns: dict[TileId, int] = {}
         """Of the tiles that this run has sent."""
+        self._newest_anchor: Anchor | None = None
+        """Not written yet: that is done when one could be sent."""
         self._anchor: bytes | None = None
         self._unsent_anchor = False
         self._health: Mapping[str, Any] | None = None
@@ -152,6 +154,7 @@ class Publisher:
         self._final = False
         """Is everything that was offered, all of it, sent? From a flush until the next offer."""
         self._listed_root: int | None = None
+        compile_codec()
         self._thread = threading.Thread(target=self._run, name="publisher", daemon=True)
 
     # Called by the pipeline and by whoever owns the publisher
@@ -339,11 +342,9 @@ class Publisher:
         self._health = update.health
         if update.pose is not None:
             self._unsent_pose = update.pose
-        if update.anchor is not None:
-            anchor = write_anchor(update.anchor)
-            self._unsent_anchor = self._unsent_anchor or anchor != self._anchor
-            self._anchor = anchor
-        self._guarantee = update.guarantee
+        self._newest_anchor = update.anchor or self._newest_anchor
+        if update.guarantee != self._guarantee:
+            self._guarantee, self._guarantee_message = update.guarantee, guarantee_message(update.guarantee)
 
     def _send_periodic(self, session: zenoh.Session, now_s: float) -> None:
         """Pose, anchor, health, info and digest, each when it is due, and all at the end."""
@@ -352,6 +353,7 @@ class Publisher:
             self._pose_due_s = now_s + 1 / self._config.pose_rate_hz
             pose, self._unsent_pose = self._unsent_pose, None
             self._put(session, POSE, write_pose(pose))
+            self._write_anchor()
         if self._health is not None and (ending or now_s >= self._health_due_s):
             self._health_due_s = now_s + self._config.health_period_s
             self._put(session, HEALTH, self._topic(HEALTH))
@@ -366,6 +368,7 @@ class Publisher:
     def _send_digest(self, session: zenoh.Session) -> None:
         """Info, anchor and digest; the tiles are listed only when something changed since the last listing."""
         self._put(session, INFO, self._topic(INFO))
+        self._write_anchor()
         if self._anchor is not None:
             self._put(session, ANCHOR, self._anchor)
         parts = list(self._digest(summary_if_root=self._listed_root))
@@ -379,6 +382,13 @@ class Publisher:
             if self._flush_wanted and self._final and self._slot is None:
                 self._flush_wanted, self._flushed = False, True
                 self._wake.notify_all()
+
+    def _write_anchor(self) -> None:
+        """The newest anchor as it is sent, and whether it is another one than before."""
+        if self._newest_anchor is not None:
+            anchor, self._newest_anchor = write_anchor(self._newest_anchor), None
+            self._unsent_anchor = self._unsent_anchor or anchor != self._anchor
+            self._anchor = anchor
 
     def _digest(self, summary_if_root: int | None = None) -> Iterator[DigestPart]:
         """The present digest; a summary alone where its root is this one."""
@@ -399,8 +409,7 @@ class Publisher:
         place, beams_until_ns = TileId(tile.submap, tile.ix, tile.iy), self._update.beams_until_ns
         if beams_until_ns is not None:
             self._beams_until_ns[place] = beams_until_ns
-        guarantee = guarantee_message(self._update.guarantee)
-        note = TileNote(self.epoch, version, guarantee, self._update.released_ns, beams_until_ns)
+        note = TileNote(self.epoch, version, self._guarantee_message, self._update.released_ns, beams_until_ns)
         key = tile_key(self._robot, tile.submap, tile.ix, tile.iy, kind)
         self.counts[f"{kind}_tiles"] += 1
         self._bucket.spend(len(payload))
@@ -436,6 +445,8 @@ class Publisher:
 
     def _take_questions(self) -> None:
         """Work out which keys each waiting question asks for."""
+        if self._questions:
+            self._write_anchor()
         while self._questions:
             query = self._questions.popleft()
             asked = query.key_expr
@@ -469,7 +480,7 @@ class Publisher:
             published = None if place is None else self._map.get(place)
             if place is not None and published is not None:
                 earlier = self._earlier.get(place.submap)
-                guarantee = guarantee_message(self._guarantee) if earlier is None else earlier.guarantee
+                guarantee = self._guarantee_message if earlier is None else earlier.guarantee
                 beams_until_ns = self._beams_until_ns.get(place)
                 note = write(TileNote(self.epoch, published.version, guarantee, beams_until_ns=beams_until_ns))
                 payload = encode(published.tile, MAP_FRAME, time.time_ns())

@@ -9,7 +9,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from mapper.tile import NO_CELL, SNAP_M, Tile, changed, compile_tiles, content_crc, join, snap_outward, unseen_tile
+from mapper.tile import (
+    NO_CELL,
+    SNAP_M,
+    Tile,
+    advanced,
+    changed,
+    compile_tiles,
+    content_crc,
+    join,
+    snap_outward,
+    unseen_tile,
+)
 
 CELLS = arrays.arrays(
     np.float32,
@@ -84,6 +95,14 @@ def test_a_delta_joined_to_the_old_tile_gives_the_new_one(old: Tile, more: Tile)
     held = ~np.isnan(delta.low)
     differs = np.any([bits(a) != bits(b) for a, b in zip(old.layers, new.layers, strict=True)], axis=0)
     assert np.array_equal(held, differs)
+
+
+@given(some_tiles(), some_tiles())
+def test_advancing_a_published_tile_is_joining_and_comparing_it(a: Tile, b: Tile) -> None:
+    """What is done for each message in one go gives what its parts give, bit for bit."""
+    old = snap_outward(a)
+    new = join(old, snap_outward(b))
+    assert advanced(old, b) == (new, changed(old, new))
 
 
 @given(some_tiles(), some_tiles())
