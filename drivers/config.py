@@ -10,8 +10,9 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 from pydantic.dataclasses import dataclass
 
-STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
-"""Unknown keys, infinities and NaN are refused."""
+STRICT = ConfigDict(extra="forbid", allow_inf_nan=False, defer_build=True)
+"""Unknown keys, infinities and NaN are refused. Validators are built when first needed: a section's is part of the
+whole configuration's, and its own is for those who make that section alone."""
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]

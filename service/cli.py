@@ -6,7 +6,6 @@ Exit codes: 0 done, 1 failed, 2 bad usage, 78 bad configuration (systemd's EX_CO
 import gc
 import os
 import sys
-from importlib.metadata import version
 
 from cyclopts import App, CycloptsError
 
@@ -38,13 +37,19 @@ def _app(arguments: list[str]) -> App:
     app = App(
         name="terrabound",
         help="Terrain maps with guaranteed bounds, live on a tracked robot.",
-        version=lambda: version("terrabound"),
+        version=_version,
         help_epilogue="Start with: terrabound demo",
     )
     for name, (where, line) in COMMANDS.items():
         described = {} if name in arguments[:1] else {"help": line}
         app.command(f"service.commands.{where}", name=name, **described)
     return app
+
+
+def _version() -> str:
+    from importlib.metadata import version  # slow to load, and seldom asked for
+
+    return version("terrabound")
 
 
 GC_THRESHOLD = 50_000

@@ -16,10 +16,10 @@ from drivers.errors import TerraboundError
 from estimator.bounded_pose import Anchor, BoundedPose, Guarantee
 from mapper.tile import Tile, join
 from service.config import LoadedConfig
-from service.devices import Device
+from service.devices import Device, wiring
 from service.lifecycle import process_age_s
 from service.map_file import save_map, save_tiles
-from service.map_keeper import EarlierSubmaps, MapKeeper, Unkept
+from service.map_keeper import MapKeeper, Unkept
 from service.messages import TileId, fault_values
 from service.pipeline import Pipeline
 from service.published_map import Recall, nothing_kept
@@ -28,6 +28,7 @@ from service.readers import Readers
 from service.rehearsal import rehearse
 from service.rolling_window import RollingWindow
 from service.session_ahead import SessionAhead
+from service.unpublished import Unpublished
 
 IDLE_S = 0.02
 """The pipeline thread looks up this often when no sample comes."""
@@ -43,39 +44,6 @@ TOLD_FAULTS = 16
 """Health tells of so many of the newest."""
 OFFER_PERIOD_NS = 100_000_000
 """Pose and health are offered at least this often, also when no cell changed."""
-
-
-class Unpublished:
-    """In place of a publisher, where nobody is to receive the map."""
-
-    ready = False
-    takes_updates = False
-    submap = 0
-
-    def offer_earlier(self, earlier: EarlierSubmaps) -> None:
-        """Nobody is to receive it."""
-
-    def start(self) -> None:
-        """Nothing to open."""
-
-    def offer(self, update: MapUpdate) -> bool:
-        """Never asked for: not ready."""
-        return False
-
-    def wait_until_ready(self, timeout_s: float) -> bool:
-        """Never."""
-        return False
-
-    def state(self) -> dict[str, Any]:
-        """Nothing to tell."""
-        return {}
-
-    def flush(self, timeout_s: float) -> bool:
-        """Nothing is waiting."""
-        return True
-
-    def close(self) -> None:
-        """Nothing is open."""
 
 
 class Onboard:
@@ -108,7 +76,9 @@ class Onboard:
         self.clock = clock
         self.pipeline = Pipeline(config, on_pose)
         self.laser = config.devices.laser
-        self.readers = Readers(loaded, clock, devices=devices, capture=capture) if readers is None else readers
+        if readers is None:
+            readers = Readers(loaded, clock, devices=wiring(loaded) if devices is None else devices, capture=capture)
+        self.readers = readers
         self.queue, self.health = self.readers.queue, self.readers.health
         self.keeper = self._keeper(loaded) if keep and config.store.path is not None else Unkept()
         about = {"resolution_m": config.map.resolution_m}

@@ -12,7 +12,7 @@ from drivers.clock import Clock
 from drivers.errors import CaptureError
 from drivers.port_read import read_in_machine_code
 from service.config import LoadedConfig
-from service.devices import Device, can_frames, wiring
+from service.devices import Device, can_frames, unchecked_wiring
 from service.health import Health
 from service.reader import Reader
 from service.sample_queue import SampleQueue
@@ -29,9 +29,9 @@ class Readers:
         devices: tuple[Device, ...] | None = None,
         capture: Path | None = None,
     ) -> None:
-        """`devices` None: as configured. `capture`: record all bytes there."""
+        """`devices` None: as configured; their mistakes are found by `start`. `capture`: record all bytes there."""
         self.clock = clock
-        self.devices = wiring(loaded) if devices is None else devices
+        self.devices = unchecked_wiring(loaded) if devices is None else devices
         self.queue = SampleQueue()
         self.queue.keeps = False
         self.health = Health()
@@ -62,13 +62,13 @@ class Readers:
     def start(self, acknowledge: Callable[[str, int], None] | None = None) -> None:
         """Open the ports and begin; ports may come and go later. `acknowledge`: see Reader.
 
-        Until `read_punctually` they converse with their devices, and keep no sample.
+        Until `read_punctually` they converse with their devices, and keep no sample. Raises ConfigurationError where
+        what the configuration names can't be used; those that read already are then to be stopped.
         """
-        self._readers = [
-            Reader(device, self.clock, self.queue, self.health, self._capture, acknowledge) for device in self.devices
-        ]
-        for reader in self._readers:
-            reader.start()
+        # The scanner first: it may have to be set up, which takes a second.
+        for device in sorted(self.devices, key=lambda device: device.name != "laser"):
+            self._readers.append(Reader(device, self.clock, self.queue, self.health, self._capture, acknowledge))
+            self._readers[-1].start()
 
     def read_punctually(self) -> None:
         """From now on bytes are stamped as they come, and samples are kept."""

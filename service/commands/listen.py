@@ -14,8 +14,9 @@ from drivers.imu.protocol import ImuProtocol
 from drivers.protocol import DeviceProtocol
 from drivers.samples import Sample
 from drivers.sick_lms.protocol import SickLmsProtocol
+from drivers.socketcan import open_socketcan
 from drivers.track_encoders.protocol import TrackEncoderProtocol
-from drivers.transports import Transport, open_serial, open_socketcan
+from drivers.transports import Transport, open_serial
 from service.devices import NOW_OR_LATER
 from service.json_lines import counts_line, print_samples
 from service.lifecycle import stop_on_signals

@@ -1,5 +1,6 @@
 """`terrabound run`: the service on the robot."""
 
+import gc
 import sys
 import time
 from datetime import UTC, datetime
@@ -38,7 +39,6 @@ def run(*, config: Path) -> int:
         capture = None if record is None else unused_path(loaded.path(record), datetime.now(UTC))
         readers = Readers(loaded, SystemClock(), capture=capture)
         readers.open_recording()
-        readers.start()
         onboard = _onboard(loaded, readers, ahead)
         notifier.ready()
         console = _Console(onboard.health)
@@ -62,7 +62,9 @@ def run(*, config: Path) -> int:
 
 def _onboard(loaded: LoadedConfig, readers: Readers, ahead: SessionAhead) -> "Onboard":
     """Filter, map and publisher, started. Their code is loaded now: meanwhile the sensors are read already."""
+    gc.disable()  # what loading makes, stays
     try:
+        readers.start()
         readers.read_punctually()
         from service.onboard import Onboard
 
@@ -72,6 +74,8 @@ def _onboard(loaded: LoadedConfig, readers: Readers, ahead: SessionAhead) -> "On
         readers.stop()
         readers.end_recording()
         raise
+    finally:
+        gc.enable()
     return onboard
 
 

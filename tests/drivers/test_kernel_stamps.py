@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from drivers.errors import PortLost
 from drivers.kernel_stamps import KernelStamps
+from drivers.socketcan import SocketCanTransport
 from drivers.track_encoders.codec import CanFrame, pack_can_frame
-from drivers.transports import SocketCanTransport
 
 MS = 1_000_000
 

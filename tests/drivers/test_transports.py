@@ -10,7 +10,8 @@ import pytest
 
 from drivers import port_read
 from drivers.errors import PortBusy, PortError, PortLost, PortMissing
-from drivers.transports import SerialTransport, open_serial, open_socketcan
+from drivers.socketcan import open_socketcan
+from drivers.transports import SerialTransport, open_serial
 from simulator.ports import PseudoPort
 
 EVERY_BYTE = bytes(range(256))

@@ -9,8 +9,8 @@ import pytest
 
 from drivers.clock import SystemClock
 from drivers.samples import WheelTicks
+from drivers.socketcan import SocketCanTransport
 from drivers.track_encoders.protocol import TrackEncoderProtocol
-from drivers.transports import SocketCanTransport
 from service.devices import Device
 from service.health import DeviceState, Health
 from service.passive import encoders_config

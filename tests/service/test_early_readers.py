@@ -2,8 +2,13 @@
 
 import subprocess
 import sys
+import threading
+from dataclasses import replace
+
+import pytest
 
 from drivers.clock import SystemClock
+from drivers.errors import ConfigurationError
 from drivers.samples import Stamp, WheelTicks
 from service.config import load
 from service.readers import Readers
@@ -39,3 +44,13 @@ def test_what_is_not_read_punctually_is_not_used() -> None:
     assert (readers.queue.take(0), readers.queue.dropped) == ([], {"encoders": 1})
     readers.queue.put([sample])
     assert readers.queue.take(0) == [sample]
+
+
+def test_a_mistake_found_while_readers_start_leaves_none_behind() -> None:
+    """The scanner's reader runs already when the DBC file turns out to be none: the error says so, and it can stop."""
+    readers = Readers(replace(load(shipped_config("demo.toml")), dbc="no DBC file"), SystemClock())
+    with pytest.raises(ConfigurationError, match=r"devices\.encoders: .*DBC"):
+        readers.start()
+    assert readers.started
+    readers.stop()
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("reader")]
