@@ -318,8 +318,8 @@ def test_a_copy_that_claims_more_than_the_robot_is_mended() -> None:
         replaced, unlisted = remote.counts["replaced"], remote.counts["unlisted"]
         with remote._changed:
             for place in (TileId(0, 0, 0), TileId(0, 77, 77)):
-                remote._join(strangers._touch(place, 0.5))
-            remote._in_sync = False
+                remote._copy.join(strangers._touch(place, 0.5))
+            remote._copy.in_sync = False
         assert remote.wait_in_sync(WAIT_S)
         assert remote.tiles == course.published()
         assert (remote.counts["replaced"], remote.counts["unlisted"]) == (replaced + 1, unlisted + 1)
@@ -356,7 +356,7 @@ def test_a_guarantee_that_broke_is_seen_remotely() -> None:
         assert publisher.flush(WAIT_S)
         assert remote.wait_in_sync(WAIT_S, final=True)
         with remote._changed:
-            assert remote._changed.wait_for(lambda: remote._guarantee == void, WAIT_S)
+            assert remote._changed.wait_for(lambda: remote._copy.guarantee == void, WAIT_S)
         assert remote.bounds == void
         assert remote.guarantee == "contradicted by gps"
         assert remote.anchor is not None
@@ -383,7 +383,7 @@ def test_a_copy_tells_which_of_its_tiles_are_older_than_the_doubt(tmp_path: Path
         assert publisher.flush(WAIT_S)
         assert remote.wait_in_sync(WAIT_S, final=True)
         with remote._changed:
-            assert remote._changed.wait_for(lambda: remote._guarantee == void, WAIT_S)
+            assert remote._changed.wait_for(lambda: remote._copy.guarantee == void, WAIT_S)
         assert remote.promised(old)
         assert not remote.promised(new)
         remote.save(tmp_path / "copy.npz")
