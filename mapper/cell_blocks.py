@@ -22,56 +22,55 @@ ALIGNED_CELLS = 4
 CELL_BYTES = 8
 _ALIGNMENT = ALIGNED_CELLS * CELL_BYTES
 ROW_BYTES = TILE_SIDE * CELL_BYTES
+BLOCK_BYTES = BLOCK_CELLS * CELL_BYTES
 
 _LANES = 2 * BLOCK_CELLS
 _WORD, _ADDRESS = ir.IntType(32), ir.IntType(64)
 cgutils: Any = untyped_cgutils
 _INFINITY = float("inf")
-_CURTAIN = ir.ArrayType(ir.FloatType(), 3 * _LANES)
-_CURTAIN_VALUES = [-_INFINITY] * _LANES + [0.0] * _LANES + [-_INFINITY] * _LANES
+_WINDOWS = [
+    0.0 if first <= lane // 2 <= last else -_INFINITY
+    for first in range(ALIGNED_CELLS)
+    for last in range(BLOCK_CELLS)
+    for lane in range(_LANES)
+]
+_TABLE = ir.ArrayType(ir.FloatType(), len(_WINDOWS))
 _FLOATS, _WORDS = ir.VectorType(ir.FloatType(), _LANES), ir.VectorType(_WORD, _LANES)
+_PAIR, _PAIRS = ir.IntType(64), ir.VectorType(ir.IntType(64), BLOCK_CELLS)
 
 
 def _hull_blocks(
-    typing_context: Any, address: Any, rows: Any, neg_low: Any, high: Any, first: Any, last: Any
+    typing_context: Any, address: Any, rows: Any, interval: Any, window: Any
 ) -> tuple[Any, Callable[..., Any]]:
-    signature = types.boolean(types.uint64, types.int64, types.float32, types.float32, types.int64, types.int64)
-    return signature, _generate
+    return types.boolean(types.uint64, types.int64, types.uint64, types.uint64), _generate
 
 
 def _generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-    address, rows, neg_low, high, first, last = args
-    interval = _spread(builder, (neg_low, high))
+    address, rows, pair, window = args
+    interval = _spread(builder, builder.load(builder.inttoptr(pair, _PAIR.as_pointer()), align=CELL_BYTES))
     # Added to a number -inf is -inf, and 0 leaves it. Read from memory, so that LLVM can't know what it does: knowing,
     # it would store under a mask.
-    curtain = cgutils.global_constant(builder, "hull_blocks.curtain", ir.Constant(_CURTAIN, _CURTAIN_VALUES))
-    for lanes in (builder.mul(first, _ADDRESS(-2)), builder.sub(_ADDRESS(_LANES - 2), builder.mul(last, _ADDRESS(2)))):
-        place = builder.add(lanes, _ADDRESS(_LANES))
-        window = builder.bitcast(builder.gep(curtain, [_WORD(0), place]), _FLOATS.as_pointer())
-        interval = builder.fadd(interval, builder.load(window, align=4))
+    table = cgutils.global_constant(builder, "hull_blocks.windows", ir.Constant(_TABLE, _WINDOWS))
+    table.align = 64
+    place = builder.gep(builder.bitcast(table, ir.IntType(8).as_pointer()), [window])
+    interval = builder.fadd(interval, builder.load(builder.bitcast(place, _FLOATS.as_pointer()), align=64))
 
     maximum = cgutils.get_or_insert_function(
         builder.module, ir.FunctionType(_FLOATS, [_FLOATS, _FLOATS]), f"llvm.maxnum.v{_LANES}f32"
     )
 
-    def look(cells: Any, wider: Any) -> Any:
-        here = builder.fcmp_ordered(">", interval, builder.load(cells, align=_ALIGNMENT))
-        return builder.or_(wider, builder.sext(here, _WORDS))
-
-    def store(cells: Any, wider: Any) -> Any:
+    # Reading what stands there and writing the maximum back, whether it changed or not: a branch between the two, which
+    # no processor foresees on ground that is still being mapped, costs more than the writing.
+    def widen(cells: Any, wider: Any) -> Any:
+        old = builder.load(cells, align=_ALIGNMENT)
         # That no operand is NaN is all that this flag says; without it the maximum takes three more instructions.
-        new = builder.call(maximum, [interval, builder.load(cells, align=_ALIGNMENT)], fastmath=("nnan",))
-        builder.store(new, cells, align=_ALIGNMENT)
-        return wider
+        builder.store(builder.call(maximum, [interval, old], fastmath=("nnan",)), cells, align=_ALIGNMENT)
+        return builder.or_(wider, builder.sext(builder.fcmp_ordered(">", interval, old), _WORDS))
 
-    # Where the ground has been seen most hulls change nothing: look first, and store only where there is something to.
-    wider = _each_row(builder, address, rows, look)
+    wider = _each_row(builder, address, rows, widen)
     # All of it as one number: a single test where the processor has one.
     number = ir.IntType(32 * _LANES)
-    changed = builder.icmp_unsigned("!=", builder.bitcast(wider, number), number(0))
-    with builder.if_then(changed):
-        _each_row(builder, address, rows, store)
-    return changed
+    return builder.icmp_unsigned("!=", builder.bitcast(wider, number), number(0))
 
 
 def _each_row(builder: Any, address: Any, rows: Any, do: Callable[[Any, Any], Any]) -> Any:
@@ -92,20 +91,19 @@ def _each_row(builder: Any, address: Any, rows: Any, do: Callable[[Any, Any], An
     return given
 
 
-def _spread(builder: Any, values: tuple[Any, ...]) -> Any:
-    """A vector that repeats the numbers."""
-    undefined = ir.Constant(_FLOATS, ir.Undefined)
-    vector = undefined
-    for place, value in enumerate(values):
-        vector = builder.insert_element(vector, value, _WORD(place))
-    order = ir.Constant(_WORDS, [lane % len(values) for lane in range(_LANES)])
-    return builder.shuffle_vector(vector, undefined, order)
+def _spread(builder: Any, pair: Any) -> Any:
+    """A vector that repeats two numbers."""
+    undefined = ir.Constant(_PAIRS, ir.Undefined)
+    first = builder.insert_element(undefined, pair, _WORD(0))
+    order = ir.Constant(ir.VectorType(_WORD, BLOCK_CELLS), [0] * BLOCK_CELLS)
+    return builder.bitcast(builder.shuffle_vector(first, undefined, order), _FLOATS)
 
 
-hull_blocks = cast(Callable[[np.uint64, int, np.float32, np.float32, int, int], bool], intrinsic(_hull_blocks))
-"""hull_blocks(address, rows, neg_low, high, first, last) -> did any cell change?
+hull_blocks = cast(Callable[[np.uint64, int, np.uint64, np.uint64], bool], intrinsic(_hull_blocks))
+"""hull_blocks(address, rows, interval, window) -> did any cell change?
 
-Hull of the cells `first`..`last` (0..7) of the block at `address`, and of those below it in the tile's next rows - 1 >=
-0 rows, with the interval. Neither the interval nor any cell is NaN. The block's other cells may be written as they were
+Hull of cells of the block at `address`, and of those below it in the tile's next rows - 1 >= 0 rows, with the interval
+whose two numbers stand at the address `interval`. Which cells: `window` is BLOCK_BYTES * (first * BLOCK_CELLS + last),
+first 0..3, last 0..7. Neither the interval nor any cell is NaN. The block's other cells may be written as they were
 read.
 """

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from drivers.compiled import compiled, compiled_into_callers, compiled_without_heap
 from mapper.beam_order import put_in_order
-from mapper.cell_blocks import ALIGNED_CELLS, BLOCK_CELLS, CELL_BYTES, ROW_BYTES, hull_blocks
+from mapper.cell_blocks import ALIGNED_CELLS, BLOCK_BYTES, BLOCK_CELLS, CELL_BYTES, ROW_BYTES, hull_blocks
 from mapper.grid import CELL_LIMIT, TILE_CELLS, TILE_SHIFT, TILE_SIDE, tile_key
 from mapper.laser_geometry import Floats, usable_range
 from mapper.pose_terms import P_USABLE, W_ROWS, prepare_pose
@@ -58,9 +58,9 @@ N_SIZE = N_TOTALS + FATES
 # Where the beams of a block end in the grid: rows of LANES int32. First the cells, ...
 S_FATE, S_I0, S_I1, S_J0, S_J1 = (row * LANES for row in range(5))
 # ... then, for what lies in one tile, which (else NOWHERE), the first block's place in it in bytes, how many rows, and
-# from there the first and last column.
-S_IX, S_IY, S_PLACE, S_ROWS, S_FIRST, S_LAST = (row * LANES for row in range(5, 11))
-S_SIZE = 11 * LANES
+# from there the first and last column; of a footprint in one block, too, which window of it (cell_blocks.py).
+S_IX, S_IY, S_PLACE, S_ROWS, S_FIRST, S_LAST, S_WINDOW = (row * LANES for row in range(5, 12))
+S_SIZE = 12 * LANES
 NOWHERE = np.int32(-(1 << 31))
 _INDEX_LIMIT = float(CELL_LIMIT)
 _IN_TILE = TILE_SIDE - 1
@@ -117,7 +117,7 @@ def rebuild_table(tiles: int, table: Indices, keys: Keys) -> None:
 def locate_block(
     count: int, inverse: float, max_footprint_m: float, block: Floats, spans: Indices, heights: Cells
 ) -> None:
-    """Each beam's fate, its cells (first and last column i and row j) and its interval (-low, high as stored).
+    """Each beam's fate, its cells (first and last column i and row j) and its interval: -low, high, as cells have them.
 
     What is not USED has cells too, somewhere: no conversion to integers is undefined, and nobody reads them.
     """
@@ -130,7 +130,7 @@ def locate_block(
         fate = USED if near else TOO_FAR
         fate = fate if (x1 - x0 <= widest) & (y1 - y0 <= widest) else TOO_WIDE
         fate = fate if x0 == x0 else NO_RANGE
-        heights[n], heights[LANES + n] = round_up(-z0), round_up(z1)
+        heights[2 * n], heights[2 * n + 1] = round_up(-z0), round_up(z1)
         i0, i1 = np.int32(np.floor(x0 if near else 0.0)), np.int32(np.floor(x1 if near else 0.0))
         j0, j1 = np.int32(np.floor(y0 if near else 0.0)), np.int32(np.floor(y1 if near else 0.0))
         spans[S_FATE + n], spans[S_I0 + n], spans[S_I1 + n] = fate, i0, i1
@@ -140,15 +140,17 @@ def locate_block(
         block_column = i0 & -ALIGNED_CELLS
         spans[S_PLACE + n] = (j0 & _IN_TILE) * ROW_BYTES + (block_column & _IN_TILE) * CELL_BYTES
         spans[S_ROWS + n], spans[S_FIRST + n], spans[S_LAST + n] = j1 - j0 + 1, i0 - block_column, i1 - block_column
+        spans[S_WINDOW + n] = BLOCK_BYTES * (BLOCK_CELLS * (i0 - block_column) + (i1 - block_column))
 
 
 @compiled_into_callers
-def hull_cells(address: np.uint64, rows: int, first: int, last: int, neg_low: np.float32, high: np.float32) -> bool:
+def hull_cells(address: np.uint64, rows: int, first: int, last: int, interval: np.uint64) -> bool:
     """Hull of `rows` rows of cells `first`..`last`, counted from the block at `address`; did any cell change?"""
     changed = False
     while last >= 0:
-        changed |= hull_blocks(address, rows, neg_low, high, max(first, 0), min(last, BLOCK_CELLS - 1))
-        address += np.uint64(BLOCK_CELLS * CELL_BYTES)
+        window = np.uint64(BLOCK_BYTES * (BLOCK_CELLS * max(first, 0) + min(last, BLOCK_CELLS - 1)))
+        changed |= hull_blocks(address, rows, interval, window)
+        address += np.uint64(BLOCK_BYTES)
         first, last = first - BLOCK_CELLS, last - BLOCK_CELLS
     return changed
 
@@ -172,14 +174,18 @@ def touch_block(
     hits: each footprint holds a point that was measured.
     """
     plane_address, stride = np.uint64(pool.ctypes.data) + np.uint64(plane * TILE_BYTES), pool.shape[1] * TILE_BYTES
+    intervals = np.uint64(heights.ctypes.data)
     last_ix, last_iy, last_tile, tile_address = NOWHERE, NOWHERE, LEFT_OUT, plane_address
     for lane in range(count):
         fate = spans[S_FATE + lane]
-        neg_low, high = heights[lane], heights[LANES + lane]
+        interval = intervals + np.uint64(CELL_BYTES * lane)
         if last_tile >= 0 and spans[S_IX + lane] == last_ix and spans[S_IY + lane] == last_iy:
             # The rule: one tile, the same as that of the beam before.
-            rows, first, last = int(spans[S_ROWS + lane]), int(spans[S_FIRST + lane]), int(spans[S_LAST + lane])
-            if hull_cells(tile_address + np.uint64(spans[S_PLACE + lane]), rows, first, last, neg_low, high):
+            rows, last, window = int(spans[S_ROWS + lane]), int(spans[S_LAST + lane]), spans[S_WINDOW + lane]
+            address = tile_address + np.uint64(spans[S_PLACE + lane])
+            if last < BLOCK_CELLS:
+                dirty[last_tile] |= hull_blocks(address, rows, interval, np.uint64(window))
+            elif hull_cells(address, rows, int(spans[S_FIRST + lane]), last, interval):
                 dirty[last_tile] = True
         elif fate == USED:
             i0, i1 = int(spans[S_I0 + lane]), int(spans[S_I1 + lane])
@@ -199,7 +205,7 @@ def touch_block(
                         tile_address = plane_address + np.uint64(tile * stride)
                     row, block = j & _IN_TILE, i & -ALIGNED_CELLS
                     place = np.uint64(row * ROW_BYTES + (block & _IN_TILE) * CELL_BYTES)
-                    if hull_cells(tile_address + place, j_last - j + 1, i - block, i_last - block, neg_low, high):
+                    if hull_cells(tile_address + place, j_last - j + 1, i - block, i_last - block, interval):
                         dirty[last_tile] = True
                     i = i_last + 1
                 j = j_last + 1
