@@ -22,16 +22,13 @@ from drivers.samples import WheelTicks
 from estimator.attitude import EARTH_YAW, MAP_YAW, AttitudeChain
 from estimator.bounded_pose import PlanarEllipsoid
 from estimator.config import FilterConfig, RobotConfig
-from estimator.ellipsoid import EMPTY, Ellipsoid, box, extent, half_width, image, meet_axis
-from estimator.ellipsoidal_motion import BIAS, UNITS, YAW, HeadingStep, X, Y, memory, travel_ellipsoid
+from estimator.ellipsoid import image
 from estimator.gps_window import GpsWindow
 from estimator.inconsistency import Journal
-from estimator.interval import ULP, Interval, add, meet, mid, reach, sub, up, widen
-from estimator.motion import TrackBounds, Tracked, relative_yaw, relative_yaw_between, tracked
-from estimator.position import ANYWHERE_M, EARTH, MAP, PositionChain, Step
-
-WIDEST_YAW = 1.0
-"""rad: beyond this half-width there is no ellipsoid."""
+from estimator.interval import Interval, meet, mid, reach, sub, up, widen
+from estimator.motion import aged_bias, relative_yaw
+from estimator.planar_set import WIDEST_YAW, PlanarSet, advance, correct, show
+from estimator.position import EARTH, MAP, PositionChain, Step
 
 
 class NewestFixOnly(GpsWindow):
@@ -101,26 +98,6 @@ class Witness(NewestFixOnly):
         self._whole.remember(bias, slack, quantum, yaw, place)
 
 
-class PlanarSet:
-    """The ellipsoid of one frame: x and y among the places from row `place` on, yaw in row `yaw` of the turns."""
-
-    def __init__(self, place: int, yaw: int) -> None:
-        self.place, self.yaw = place, yaw
-        self.set: Ellipsoid | None = None
-        self.kept = memory()
-        self.first = True
-
-    def begin(self, x: Interval, y: Interval, yaw: Interval, bias: Interval) -> None:
-        """Anew, around a box; none if that is too wide, or empty."""
-        axes = (x, y, yaw, bias)
-        middle = np.array([mid(axis) for axis in axes])
-        half = np.array([reach(axis, c) for axis, c in zip(axes, middle, strict=True)])
-        self.set, self.first = None, True
-        if half.min() >= 0.0 and half[YAW] < WIDEST_YAW and max(half[X], half[Y]) < ANYWHERE_M:
-            self.set = box(middle, half, UNITS)
-            self.kept = memory()
-
-
 class EllipsoidalPosition(PositionChain):
     """As PositionChain, with x, y and yaw from ellipsoids."""
 
@@ -148,32 +125,31 @@ class EllipsoidalPosition(PositionChain):
 
     def predict(self, ticks: WheelTicks) -> Step:
         """travel, with boxes and with ellipsoids: one node further, at the true time of this encoder reading."""
-        start, first, undone = self._gyro_node(), self._fresh_count, self._pending.copy()
+        turned_until, first, undone = self._turned_until, self._fresh_count, self._pending.copy()
         began_ns = int(self.tube.times[self.tube.newest, 0])
         step = super().predict(ticks)
-        turns, attitude = self._attitude.tube, self._attitude
-        turned_known = start is not None and int(turns.times[step.before, 1]) <= began_ns
-        if start is None:
-            start = step.after
-        before = min(step.before, start)
-        after = step.after if turns.effort[step.after, 2] == self._turned_until else start
-        seconds = up((int(turns.times[after, 1]) - int(turns.times[start, 0])) * 1e-9)
-        aged, bias = up(attitude.gyro.bias_drift * seconds), attitude.bias_since(before)
-        turned_known = turned_known and turns.heading[after, 2] - turns.heading[before, 2] < WIDEST_YAW
-        way = tracked(step.left, step.right, step.counted, step.time_high, self.tracks)
+        turns, attitude, here = self._attitude.tube, self._attitude, self.tube.newest
+        known, before, start, after, bias, aged = turned_over(
+            turns.times, turns.heading, turns.effort, turns.begin, turns.end, began_ns, turned_until,
+            self._turned_until, step.before, step.after, attitude.bias, attitude.gyro.bias_drift,
+        )  # fmt: skip
         for one in self.sets:
             if one.set is None:
                 continue
-            if not turned_known:
+            if not known:
                 self._let_go(one, undone + self._pending)
                 continue
-            if not advance(
+            sound, shown = advance(
                 one.set, one.kept, turns.heading, turns.swing, before, start, after, bias, aged, step.attitude,
-                way, step.telescoped, self.tracks, first or one.first,
-            ):  # fmt: skip
+                step.left, step.right, step.counted, step.time_high, step.telescoped, tuple(self.tracks),
+                first or one.first, one.place, one.yaw, self._core, self._pending, self.tube.box[here], turns.box,
+                turns.newest,
+            )  # fmt: skip
+            if not sound:
                 self._journal.report("gyro", ticks.stamp.mid_ns, inf, "rad/s")
+            if not shown:
+                self._too_wide(one)
             one.first = False
-        self._show(after, bias)
         self._begin_sets(after, bias)
         return step
 
@@ -236,13 +212,12 @@ class EllipsoidalPosition(PositionChain):
         None if there was no reading for so long that the node is out of the history.
         """
         turns = self._attitude.tube
-        efforts = turns.effort[turns.begin : turns.end, 2]  # each larger than the one before
-        k = int(np.searchsorted(efforts, self._turned_until))
-        return turns.begin + k if k < len(efforts) and efforts[k] == self._turned_until else None
+        node = node_of(turns.effort, turns.begin, turns.end, self._turned_until)
+        return node if node >= turns.begin else None
 
     def _begin_sets(self, node: int, bias: Interval) -> None:
         """Ellipsoids around the boxes, where there are none and yaw is known; the count's error begins anew."""
-        if all(one.set is not None for one in self.sets):
+        if self.sets[0].set is not None and self.sets[1].set is not None:
             return
         turns, here = self._attitude.tube, self.tube.newest
         around = turns.before(int(self.tube.times[here, 0]))
@@ -269,8 +244,12 @@ class EllipsoidalPosition(PositionChain):
                 one.set, one.kept, one.place, one.yaw, self._core, self._pending, self.tube.box[here], turns.box,
                 turns.heading, node, turns.newest, bias,
             ):  # fmt: skip
-                self._journal.counts["ellipsoid_let_go"] += 1
-                self._let_go(one, self._pending.copy())
+                self._too_wide(one)
+
+    def _too_wide(self, one: PlanarSet) -> None:
+        """Nothing linear can be said of its yaw any more."""
+        self._journal.counts["ellipsoid_let_go"] += 1
+        self._let_go(one, self._pending.copy())
 
     def _let_go(self, one: PlanarSet, undone: NDArray[np.float64]) -> None:
         """The boxes go on from here, the count's error anew. The newest place is within `undone` of the core."""
@@ -283,74 +262,45 @@ class EllipsoidalPosition(PositionChain):
 
 
 @compiled
-def advance(
-    e: Ellipsoid,
-    kept: NDArray[np.float64],
-    headings: NDArray[np.float64],
-    swing: NDArray[np.float64],
-    before: int,
-    start: int,
-    after: int,
-    bias: Interval,
-    aged: float,
-    attitude: NDArray[np.float64],
-    way: Tracked,
-    turning: float,
-    bounds: TrackBounds,
-    first: bool,
-) -> bool:
-    """E a step further; its yaw from gyro node `start` to `after`. False if its bias contradicts [bias]."""
-    slope = headings[after, 1] - headings[start, 1]
-    change = headings[after, 0] - headings[start, 0]
-    error = up(abs(headings[after, 2] - headings[start, 2]))
-    error = up(error + up(ULP * (abs(change) + abs(slope) * max(abs(bias[0]), abs(bias[1])))))
-    inside = relative_yaw_between(headings, swing, before, after, headings[start], bias)
-    travel_ellipsoid(
-        e,
-        HeadingStep(change, slope, error, inside, bias, aged),
-        way,
-        up(up(bounds.lateral * way.path) + up(bounds.turning_centre * turning)),
-        up(bounds.normal * way.path),
-        (attitude[0, 0], attitude[0, 1]),
-        (attitude[1, 0], attitude[1, 1]),
-        first,
-        kept,
-    )
-    return meet_axis(e, BIAS, bias[0], bias[1]) != EMPTY
+def node_of(effort: NDArray[np.int64], begin: int, end: int, turned_until: int) -> int:
+    """The gyro node in [begin, end) with that effort of ω_z; before `begin` if there is none. Efforts rise."""
+    low, high = begin, end
+    while low < high:
+        middle = (low + high) // 2
+        if effort[middle, 2] < turned_until:
+            low = middle + 1
+        else:
+            high = middle
+    return low if low < end and effort[low, 2] == turned_until else begin - 1
 
 
 @compiled
-def correct(e: Ellipsoid, place: NDArray[np.float64], yaw: Interval) -> bool:
-    """E ∩ {x in [place 0]} ∩ {y in [place 1]} ∩ {yaw in [yaw]}, outer, strip by strip; False if that is empty."""
-    for i in range(2):
-        if meet_axis(e, i, place[i, 0], place[i, 1]) == EMPTY:
-            return False
-    return meet_axis(e, YAW, yaw[0], yaw[1]) != EMPTY
-
-
-@compiled
-def show(
-    e: Ellipsoid,
-    kept: NDArray[np.float64],
-    place: int,
-    yaw: int,
-    core: NDArray[np.float64],
-    pending: NDArray[np.float64],
-    here: NDArray[np.float64],
-    turns: NDArray[np.float64],
+def turned_over(
+    times: NDArray[np.int64],
     headings: NDArray[np.float64],
-    node: int,
-    newest: int,
-    bias: Interval,
-) -> bool:
-    """E's outer box: in rows `place` and the next of core and pending (see motion.travel) and of the newest box `here`,
-    and in row `yaw` of the turns [n, c, 2] from `node` on, while tied to it. False if that yaw is too wide.
+    effort: NDArray[np.int64],
+    begin: int,
+    end: int,
+    began_ns: int,
+    turned_until: int,
+    turned_until_now: int,
+    a: int,
+    b: int,
+    biases: NDArray[np.float64],
+    drift: float,
+) -> tuple[bool, int, int, int, Interval, float]:
+    """Of a step that began at `began_ns`, inside gyro nodes a and b: is its turning known; nodes before, start, after.
+
+    Yaw turned from node `start` to node `after`; during the step the bias of ω_z was in an interval, and drifted by up
+    to the last number.
     """
-    for i in range(2):
-        core[place + i, 0], core[place + i, 1] = extent(e, i)
-        pending[place + i] = kept[8 + i]
-        here[place + i, 0], here[place + i, 1] = widen(extent(e, i), kept[8 + i])
-    for k in range(node, newest + 1):
-        if headings[k, 2] - headings[node, 2] < WIDEST_YAW:
-            turns[k, yaw, 0], turns[k, yaw, 1] = add(extent(e, YAW), relative_yaw(headings[k], headings[node], bias))
-    return half_width(e, YAW) <= WIDEST_YAW
+    start = node_of(effort, begin, end, turned_until)
+    known = start >= begin and times[a, 1] <= began_ns
+    if start < begin:
+        start = b
+    before = min(a, start)
+    after = b if effort[b, 2] == turned_until_now else start
+    seconds = up((times[after, 1] - times[start, 0]) * 1e-9)
+    bias = aged_bias((biases[2, 0], biases[2, 1]), drift, times[before, 0], times[end - 1, 1])
+    known = known and headings[after, 2] - headings[before, 2] < WIDEST_YAW
+    return known, before, start, after, bias, up(drift * seconds)
