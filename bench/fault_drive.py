@@ -6,7 +6,8 @@ RTK fixes of 5 cm at 10 Hz, 50 Hz inertial packets and counts, tilt at 10 Hz; al
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from math import cos, pi, remainder, sin
+from math import cos, inf, pi, remainder, sin
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,6 +73,11 @@ def declared(bound_m: tuple[float, float, float] = RTK) -> tuple[RobotConfig, De
     return replace(config.robot, max_speed_mps=1.2), replace(config.devices, gps=gps)
 
 
+def settings(**changes: Any) -> FilterConfig:
+    """The demo's, changed."""
+    return replace(load(shipped_config("demo.toml")).config.filter, **changes)
+
+
 @lru_cache(maxsize=8)
 def world_of(law: str, seed: int, seconds: float, bound_m: tuple[float, float, float] = RTK) -> World:
     """A drive over open ground, errors by that law; it can be driven again and again, and making it takes seconds."""
@@ -81,14 +87,24 @@ def world_of(law: str, seed: int, seconds: float, bound_m: tuple[float, float, f
 
 
 def drive(
-    meddle: Meddle, config: FilterConfig, world: World, bound_m: tuple[float, float, float] = RTK, rates: Rates = RATES
+    meddle: Meddle,
+    config: FilterConfig,
+    world: World,
+    bound_m: tuple[float, float, float] = RTK,
+    rates: Rates = RATES,
+    until_s: float = inf,
 ) -> FaultDrive:
-    """Drive with readings meddled with; a pose is asked for and held against the truth ten times a second."""
+    """Drive with readings meddled with; a pose is asked for and held against the truth ten times a second.
+
+    Not farther than `until_s` of the drive.
+    """
     robot, devices = declared(bound_m)
     out = FaultDrive(Filter(robot, config, devices.encoders, devices.imu, devices.gps), world)
     start = world.pose(world.start_ns)
     for k, (now_ns, readings) in enumerate(sample_stream(world, bound_m, rates)):
         t_s = (now_ns - world.start_ns) * 1e-9
+        if t_s > until_s:
+            break
         for reading in readings:
             out.filter.accept(meddle(reading, t_s))
         guarantee = out.filter.guarantee

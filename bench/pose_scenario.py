@@ -39,9 +39,9 @@ IMU = ImuConfig(
     tilt_bound_deg=1.0,
     accel_bound_mps2=0.037,  # with the robot's own acceleration: 0.07 g
 )
-FILTER = FilterConfig()
+FILTER = FilterConfig(standstill_s=0.5, standstill_rate_dps=0.02)
 """As shipped; like the reference's (SMF 6.3) it learns the gyroscope's bias where the robot stands."""
-NEVER_STILL = FilterConfig(standstill_s=None)
+NEVER_STILL = FilterConfig()
 
 
 @dataclass(frozen=True, slots=True)

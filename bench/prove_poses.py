@@ -116,7 +116,13 @@ def prove_poses(case: Case) -> Score:
     gps = replace(config.devices.gps, velocity_bound_mps=VELOCITY_BOUND_MPS if case.seed % 2 else None)
     devices = replace(config.devices, encoders=encoders, imu=imu, gps=gps)
     world = _world(case, config.robot, devices)
-    poses = Filter(config.robot, FilterConfig(set=case.poses), encoders, imu, devices.gps)
+    poses = Filter(
+        config.robot,
+        FilterConfig(set=case.poses, standstill_s=0.5, standstill_rate_dps=0.02),
+        encoders,
+        imu,
+        devices.gps,
+    )
     score = Score(drives=1)
     for k, readings in enumerate(_disturbed(world, case)):
         began = time.thread_time()

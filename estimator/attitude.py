@@ -62,7 +62,7 @@ class AttitudeChain:
         )
         self._tilt_bound = up(radians(imu.tilt_bound_deg))
         self._accel_bound = up(imu.accel_bound_mps2 + robot.max_acceleration_mps2)
-        self._still_rate = up(radians(config.standstill_rate_dps))
+        self._still_rate = up(radians(config.standstill_rate_dps or 0.0))
         self._journal = journal
         self.tube = Tube(int(config.history_s * 1e9), coordinates=4)
         self.packets = GyroPackets(imu.clock_drift_ppm, journal)

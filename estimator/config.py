@@ -1,8 +1,8 @@
 """What the owner declares of the robot's motion, and how the filter is set."""
 
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Literal, Self, TypeAlias
 
-from pydantic import Field
+from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from drivers.config import STRICT, NotNegative, Positive
@@ -48,10 +48,10 @@ class FilterConfig:
     """What x, y and yaw are kept as: boxes and a window of fixes, the tighter one; or the paper's ellipsoid."""
     reordering_window_ms: Positive = 100.0
     """Samples are taken in the order of their stamps inside this window; later ones are dropped and counted."""
-    standstill_s: Positive | None = 0.5
-    """Tracks without a tick for this long: the robot is declared to stand still. None: never."""
-    standstill_rate_dps: NotNegative = 0.02
-    """Body rate that a standing robot may still have (vibration)."""
+    standstill_s: Positive | None = None
+    """Tracks without a tick for this long before and after: the owner vouches that the robot stands. None: never."""
+    standstill_rate_dps: NotNegative | None = None
+    """... and that no body rate exceeds this then (vibration). Declared together with standstill_s."""
     wrong_fixes: Annotated[int, Field(ge=0, le=14)] = 0
     """GPS: so many of any `wrong_fixes_of` fixes in succession may be anywhere, and the pose still holds, without any
     fault being told. 0: each fix keeps its bound. Fixes that come too late or without a bound don't count."""
@@ -63,3 +63,9 @@ class FilterConfig:
     """... and keeps its bound again after so long; until then it is not believed."""
     history_s: Annotated[float, Field(gt=0, le=600)] = 5.0
     """How long past poses are kept for scans that wait."""
+
+    @model_validator(mode="after")
+    def _standing_is_declared_whole(self) -> Self:
+        if (self.standstill_s is None) != (self.standstill_rate_dps is None):
+            raise ValueError("standstill_s and standstill_rate_dps: declare both, or neither")
+        return self

@@ -27,8 +27,8 @@ SLACK = 1e-11
 
 
 @compiled
-def add_segment(fan: NDArray[np.float64], x: float, y: float) -> None:
-    """fan += the segment from (-x, -y) to (x, y)."""
+def parts(x: float, y: float) -> tuple[int, float, float]:
+    """The segment from (-x, -y) to (x, y) as one along e_m and one along e_m+1: m and their lengths."""
     if y < 0.0:
         x, y = -x, -y
     m = 0
@@ -37,12 +37,40 @@ def add_segment(fan: NDArray[np.float64], x: float, y: float) -> None:
         if EAST[m + jump] * y - NORTH[m + jump] * x >= 0.0:
             m += jump
         jump //= 2
-    slack = SLACK * (abs(x) + abs(y))
     ahead = abs(EAST[m] * y - NORTH[m] * x) / SINE
     behind = abs(x * NORTH[m + 1] - y * EAST[m + 1]) / SINE
+    return m, behind, ahead
+
+
+@compiled
+def add_segment(fan: NDArray[np.float64], x: float, y: float) -> None:
+    """fan += the segment from (-x, -y) to (x, y)."""
+    m, behind, ahead = parts(x, y)
+    slack = SLACK * (abs(x) + abs(y))
     fan[m] = up(fan[m] + (behind + slack))
     m = (m + 1) % DIRECTIONS
     fan[m] = up(fan[m] + (ahead + slack))
+
+
+@compiled
+def shared(least: NDArray[np.float64], x: float, y: float) -> None:
+    """least [DIRECTIONS] to no more than the parts of that segment: what many segments have in common."""
+    m, behind, ahead = parts(x, y)
+    after = (m + 1) % DIRECTIONS
+    for k in range(DIRECTIONS):
+        least[k] = min(least[k], behind if k == m else (ahead if k == after else 0.0))
+
+
+@compiled
+def less(fan: NDArray[np.float64], least: NDArray[np.float64], credit: float, out: NDArray[np.float64]) -> None:
+    """out: a sum of segments (and more), whose segments' lengths in units of those of `least` are `credit` less in all.
+
+    Whichever of them are shorter: in each direction they are by no less than credit times the smallest part.
+    """
+    for k in range(DIRECTIONS):
+        out[k] = fan[k]
+        if credit > 0.0 and least[k] < 2.0:
+            out[k] = max(0.0, up(fan[k] - credit * max(0.0, least[k] * (1.0 - 1e-9) - SLACK)))
 
 
 @compiled

@@ -8,14 +8,18 @@ that leaves of yaw, place and bias is paving.py's.
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.fan import DIRECTIONS, add_box
+from estimator.fan import DIRECTIONS, add_box, less
 from estimator.frames import turned
 from estimator.interval import add, is_empty, meet
-from estimator.odometry_block import extend_block
+from estimator.odometry_block import extend_two_blocks
 from estimator.paving import contract_by_window
+from estimator.place_polygon import SIDES, WIDEST_M, cut_polygon, moved_polygon, polygon_of
+from estimator.slip_ledger import Mark, SlipLedger
 
 MOST_FIXES = 60
 """SMF section 13."""
+RECENT = MOST_FIXES + 1
+"""The row of the block since the last fix that was used, remembered or not; the next row is now's."""
 LEAST_SPACING_M, MOST_SPACING_M = 0.4, 2.0
 """Fixes are remembered as far apart as their own bound, within these."""
 
@@ -23,10 +27,11 @@ LEAST_SPACING_M, MOST_SPACING_M = 0.4, 2.0
 class GpsWindow:
     """Remembered fixes and the blocks between them; the last block is open and ends now."""
 
-    def __init__(self, bias_drift: float) -> None:
-        self._drift = bias_drift
+    def __init__(self, bias_drift: float, ledger: SlipLedger | None = None) -> None:
+        """`ledger`: of the tracks; None: they are taken to slip alike."""
+        self._drift, self._ledger = bias_drift, ledger
         self.count = 0
-        shape = (MOST_FIXES + 1,)
+        shape = (RECENT + 2,)
         self._antenna = np.zeros((*shape, 2, 2))
         self._offset = np.zeros((*shape, 2, 2))
         self._heading = np.zeros((*shape, 3))
@@ -36,14 +41,23 @@ class GpsWindow:
             np.zeros((*shape, 2)),
             np.zeros((*shape, DIRECTIONS)),
         )
+        self._raw, self._least = np.zeros((*shape, DIRECTIONS)), np.zeros((*shape, DIRECTIONS))
+        """Of a block that is open: its error without its credit, and what that is taken from (slip_ledger.py)."""
+        self._since: list[Mark | None] = [None, None]
+        """Where the open block begins, and the recent one."""
         self._bias = np.zeros(shape)
         self._path = np.zeros(shape)
-        self._last = np.full(4, np.nan)
-        """Axis of the last step, and its heading's τ and ρ, in the open block; NaN before its first."""
+        self._last = np.full((2, 4), np.nan)
+        """Axis of the last step, and its heading's τ and ρ, in the open and the recent block; NaN before the first."""
+        self._polygon, self._moved = np.zeros(SIDES), np.zeros(SIDES)
+        """Of places at the last fix that was used, and at the fix last given to `narrowed` (place_polygon.py)."""
+        self._bounded = False
+        """Is there a polygon?"""
 
     def clear(self) -> None:
         """Forget all fixes."""
         self.count = 0
+        self._bounded = False
 
     def extend(
         self,
@@ -56,9 +70,9 @@ class GpsWindow:
     ) -> None:
         """The open block goes on by one step: its box [3, 2] and its middle axis [3], along the step's heading."""
         if self.count:
-            extend_block(
-                self.count - 1, step, axis, heading, quantum, bias, self._drift, now_s, self._heading, self._seconds,
-                self._bias, self._last, self._way, self._by_bias, self._error, self._path,
+            extend_two_blocks(
+                self.count - 1, RECENT, step, axis, heading, quantum, bias, self._drift, now_s, self._heading,
+                self._seconds, self._bias, self._last, self._way, self._by_bias, self._raw, self._least, self._path,
             )  # fmt: skip
 
     def narrowed(
@@ -78,11 +92,34 @@ class GpsWindow:
         the heading; seconds: of that gyro node, earliest and latest. False if nothing is left: some bound is broken.
         """
         k = self.count
+        if k:
+            self._settle(k - 1, self._since[0])
         self._antenna[k], self._offset[k], self._heading[k], self._seconds[k] = antenna, offset, heading, seconds[0]
-        return contract_by_window(
+        left = contract_by_window(
             k, self._antenna, self._offset, self._heading, self._seconds, self._way, self._by_bias,
             self._error, self._bias, seconds[1], quantum, self._drift, bias, yaw, place,
         )  # fmt: skip
+        return left and self._in_polygon(quantum, seconds[1], bias, yaw, place)
+
+    def _in_polygon(
+        self,
+        quantum: float,
+        now_s: float,
+        bias: NDArray[np.float64],
+        yaw: NDArray[np.float64],
+        place: NDArray[np.float64],
+    ) -> bool:
+        """Contract place [2, 2], which the newest fix has contracted, by where the last ones leave the robot."""
+        if not self._bounded:
+            return True
+        self._settle(RECENT, self._since[1])
+        self._heading[RECENT + 1] = self._heading[self.count]
+        rows = slice(RECENT, RECENT + 2)
+        self._bounded = moved_polygon(
+            self._polygon, self._heading[rows], self._seconds[rows], self._way[rows], self._by_bias[rows],
+            self._error[rows], self._bias[rows], now_s, quantum, self._drift, bias, yaw, self._moved,
+        )  # fmt: skip
+        return not self._bounded or cut_polygon(self._moved, place)
 
     def remember(
         self,
@@ -95,8 +132,10 @@ class GpsWindow:
         """Keep the fix last given to `narrowed`, if the way since the last one kept is long enough.
 
         Of its box only that part where the antenna can have been, by what is known of yaw [2] and place [2, 2] now.
+        The polygon goes on from every fix.
         """
         k = self.count
+        self._go_on_from(bias, slack, place)
         box = self._antenna[k]
         spacing = min(max(0.5 * float(np.max(box[:, 1] - box[:, 0])), LEAST_SPACING_M), MOST_SPACING_M)
         if k and self._path[k - 1] < spacing:
@@ -112,22 +151,43 @@ class GpsWindow:
             if not is_empty(seen):
                 antenna[axis] = seen
 
+    def _settle(self, k: int, since: Mark | None) -> None:
+        """The error of a block that is open as it is now."""
+        less(self._raw[k], self._least[k], self._ledger.credit(since) if self._ledger else 0.0, self._error[k])
+
+    def _go_on_from(self, bias: NDArray[np.float64], slack: float, place: NDArray[np.float64]) -> None:
+        """The polygon begins anew, at the fix last given to `narrowed`, which left the robot in place [2, 2]."""
+        if not self._bounded:
+            polygon_of(place, self._moved)
+        self._bounded = bool(np.max(place[:, 1] - place[:, 0]) < WIDEST_M) and cut_polygon(self._moved, place.copy())
+        self._polygon[:] = self._moved
+        self._heading[RECENT], self._seconds[RECENT] = self._heading[self.count], self._seconds[self.count]
+        self._since[1] = self._empty(RECENT, bias, slack)
+        self._last[1] = np.nan
+
     def _let_go_of_the_oldest(self) -> None:
         """Make room for one more fix."""
         for kept in (
             self._antenna, self._offset, self._heading, self._seconds, self._way, self._by_bias, self._error,
-            self._bias, self._path,
+            self._raw, self._least, self._bias, self._path,
         ):  # fmt: skip
-            kept[:-1] = kept[1:]
+            kept[:MOST_FIXES] = kept[1 : MOST_FIXES + 1]
         self.count -= 1
 
     def _begin_block(self, bias: NDArray[np.float64], slack: float, quantum: float) -> None:
         """The open block ends, and one begins at the fix last given to `narrowed`."""
         k = self.count
         if k:
+            self._settle(k - 1, self._since[0])
             add_box(self._error[k - 1], quantum, quantum)
-        self._way[k] = self._by_bias[k] = self._path[k] = self._error[k] = 0.0
-        add_box(self._error[k], slack, slack)
-        self._bias[k] = 0.5 * (bias[0] + bias[1])
-        self._last[:] = np.nan
+        self._since[0] = self._empty(k, bias, slack)
+        self._last[0] = np.nan
         self.count = k + 1
+
+    def _empty(self, k: int, bias: NDArray[np.float64], slack: float) -> Mark | None:
+        """A block without a step yet; it begins at the newest count."""
+        self._way[k] = self._by_bias[k] = self._path[k] = self._raw[k] = 0.0
+        self._least[k] = np.inf
+        add_box(self._raw[k], slack, slack)
+        self._bias[k] = 0.5 * (bias[0] + bias[1])
+        return self._ledger.mark() if self._ledger else None

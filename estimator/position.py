@@ -18,6 +18,7 @@ from estimator.inconsistency import Journal
 from estimator.interval import Interval, meet, up, widen
 from estimator.motion import QUANTUM, TrackBounds, aged_bias, relative_yaw_between, travel_in_all_frames
 from estimator.relaxed_window import RelaxedWindow
+from estimator.slip_ledger import SlipLedger
 from estimator.tube import Tube, first_not_before, hull_between, last_not_after
 
 NO_EPOCH = -1
@@ -84,7 +85,8 @@ class PositionChain:
         self._journal = journal
         self.tube = Tube(int(config.history_s * 1e9), coordinates=6)
         drift, wrong = attitude.gyro.bias_drift, config.wrong_fixes
-        self.window = RelaxedWindow(drift, wrong, config.wrong_fixes_of) if wrong else GpsWindow(drift)
+        self.ledger = SlipLedger(robot.turning_gauge_m, self.tracks, attitude)
+        self.window = RelaxedWindow(drift, wrong, config.wrong_fixes_of) if wrong else GpsWindow(drift, self.ledger)
         """The way since the fixes that are remembered."""
         self.last_ticks: WheelTicks | None = None
         self._core = np.zeros((9, 2))  # see motion.travel
@@ -108,6 +110,7 @@ class PositionChain:
         self._core[MAP] = -slack, slack
         self._core[EARTH] = -ANYWHERE_M, ANYWHERE_M
         self.last_ticks = ticks
+        self.ledger.step(ticks.stamp, 0.0, 0.0, False, 0.0)
         return True
 
     def predict(self, ticks: WheelTicks) -> Step:
@@ -122,6 +125,7 @@ class PositionChain:
         self._fresh_count = not step.counted
         self._turned_until = step.turned_until
         self.last_ticks = ticks
+        self.ledger.step(ticks.stamp, step.left, step.right, step.counted, step.time_high)
         i, heading = places.push(ticks.stamp.earliest_ns, ticks.stamp.latest_ns), turns.heading[step.before]
         place_node(
             i, heading, self._net, self._swing, self._core, self._pending, places.net, places.swing, places.local,

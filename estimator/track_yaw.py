@@ -18,11 +18,9 @@ from estimator.interval import (
     add,
     cosine,
     divide,
-    hull,
     is_empty,
     meet,
     mid,
-    mig,
     reach,
     scale,
     sine,
@@ -32,6 +30,7 @@ from estimator.interval import (
 )
 from estimator.motion import QUANTUM, TrackBounds, variation
 from estimator.position import Step
+from estimator.rate_integral import partial
 from estimator.tube import hull_between
 
 STRETCH_NS = 400_000_000
@@ -107,16 +106,6 @@ class TrackYaw:
     def gyro_repeats_itself(self) -> bool:
         """Have its last packets all said the same?"""
         return len({packet.rate for packet in islice(reversed(self._attitude.packets), STUCK_PACKETS)}) == 1
-
-
-@compiled
-def partial(net: NDArray[np.float64], effort: NDArray[np.int64], axis: int, first: int, last: int) -> Interval:
-    """Integral of a body rate over any part of the steps first+1..last that begins or ends with them."""
-    total = (0.0, 0.0)
-    for i in range(first + 1, last + 1):
-        total = add(total, (net[i, axis, 0], net[i, axis, 1]))
-    varied = (effort[last, axis] - effort[first, axis]) * QUANTUM
-    return widen(hull((0.0, 0.0), meet(total, (-varied, varied))), up(0.5 * max(0.0, varied - mig(total))))
 
 
 @compiled

@@ -67,7 +67,7 @@ def gaussian_poses(config: Config, samples: Sequence[Sample], bound_sigmas: floa
                 rates.append(reading.gyro_rps)
                 resting = settings.standstill_s is not None and now_ns - moved_ns > settings.standstill_s * 1e9
                 if last is not None and resting:
-                    ekf.correct_rest(reading.gyro_rps, radians(settings.standstill_rate_dps))
+                    ekf.correct_rest(reading.gyro_rps, radians(settings.standstill_rate_dps or 0.0))
             continue
         if last is None:
             last, moved_ns = (now_ns, reading), now_ns

@@ -74,7 +74,8 @@ def _declared(robot: RobotConfig, config: FilterConfig, devices: DevicesConfig) 
         if gps.rtk_fixed_vertical_m is not None:
             declare(receiver.RTK_VERTICAL, gps.rtk_fixed_vertical_m, CONSTANT, whole=False)
     declare(scans.RANGE_BOUND, devices.laser.range_bound_m, CONSTANT, whole=False)
-    declare(at_rest.STILL_RATE, config.standstill_rate_dps, OUTSIDE)
+    if config.standstill_rate_dps is not None:
+        declare(at_rest.STILL_RATE, config.standstill_rate_dps, OUTSIDE)
     return ledger
 
 

@@ -24,13 +24,21 @@ CASES = {case.name: case for case in cases()}
 def test_a_broken_sensor_is_named_in_time(name: str) -> None:
     """The right one, within a second or a metre; no true pose is outside from then on, or stays promised."""
     case = CASES[name]
-    outcome = break_it(case, "constant", 1, 24.0)
+    outcome = break_it(case, "constant", 2, 50.0) if case.turning else break_it(case, "constant", 1, 24.0)
     assert outcome.named == case.sensor
     assert not outcome.too_early
     assert outcome.after_s <= 1.0 or outcome.after_m <= 1.0
     assert outcome.told == 0
     assert outcome.not_taken_back == 0
     assert outcome.untold <= 10 * outcome.after_s + 1
+
+
+def test_a_scale_that_is_wrong_by_twice_the_slip_is_named_though_one_track_makes_up_for_it() -> None:
+    """One track slips so that its count stays within its bound. The gyroscope tells that the other doesn't."""
+    outcome = break_it(CASES["both wheels' scale wrong by 4 %, for 20 s"], "constant", 1, 30.0)
+    assert outcome.named == "encoders"
+    assert outcome.after_m < 6.0
+    assert outcome.not_taken_back == 0
 
 
 def test_nobody_is_named_where_nothing_is_broken() -> None:

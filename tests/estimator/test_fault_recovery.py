@@ -33,7 +33,11 @@ def test_a_fault_that_is_over_is_forgotten_in_time(name: str, kept: SetName) -> 
     """Restored once, `fault_length_s` after it was told; true and tight from then on; nothing false stays promised."""
     make, sensor = FAULTS[name]
     fault: Fault = make(BEGINS_S)
-    outcome = drive(fault.changed, FilterConfig(set=kept, fault_length_s=LENGTH_S), world())
+    outcome = drive(
+        fault.changed,
+        FilterConfig(set=kept, fault_length_s=LENGTH_S, standstill_s=0.5, standstill_rate_dps=0.02),
+        world(),
+    )
     guarantee = outcome.filter.guarantee
     assert guarantee.sensor == sensor
     assert guarantee.status is Status.NOMINAL
@@ -53,7 +57,11 @@ def test_a_fault_that_is_over_is_forgotten_in_time(name: str, kept: SetName) -> 
 @pytest.mark.parametrize("kept", ["box", "ellipsoid"])
 def test_a_fault_that_outlasts_the_time_it_is_given_is_told_again(kept: SetName) -> None:
     """A receiver that stays off by 20 m: DEGRADED again and again, each time on its own account, never false untold."""
-    outcome = drive(GpsJump(BEGINS_S, 1e9, 20.0).changed, FilterConfig(set=kept, fault_length_s=LENGTH_S), world())
+    outcome = drive(
+        GpsJump(BEGINS_S, 1e9, 20.0).changed,
+        FilterConfig(set=kept, fault_length_s=LENGTH_S, standstill_s=0.5, standstill_rate_dps=0.02),
+        world(),
+    )
     faults = outcome.filter.faults
     assert len(faults) >= 3
     assert {fault.sensor for fault in faults} == {"gps"}
@@ -72,7 +80,7 @@ def test_a_second_fault_takes_back_what_was_restored_after_the_first(kept: SetNa
     )  # fmt: skip
     outcome = drive(
         lambda reading, t_s: second.changed(first.changed(reading, t_s), t_s),
-        FilterConfig(set=kept, fault_length_s=LENGTH_S),
+        FilterConfig(set=kept, fault_length_s=LENGTH_S, standstill_s=0.5, standstill_rate_dps=0.02),
         world(),
     )
     one, two = outcome.filter.faults
@@ -89,7 +97,7 @@ def test_a_second_fault_takes_back_what_was_restored_after_the_first(kept: SetNa
 def test_the_doubt_ends_where_no_later_reading_reaches() -> None:
     """A pose that ended before `void_since_ns` is the same with the fault as without it, bit for bit."""
     fault = GpsJump(BEGINS_S, BEGINS_S + 2.0, 5.0)
-    config = FilterConfig(fault_length_s=LENGTH_S, history_s=60.0)
+    config = FilterConfig(fault_length_s=LENGTH_S, history_s=60.0, standstill_s=0.5, standstill_rate_dps=0.02)
     with_it = drive(fault.changed, config, world()).filter
     without = drive(lambda reading, t_s: reading, config, world()).filter
     since_ns = with_it.guarantee.void_since_ns

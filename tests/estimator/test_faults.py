@@ -59,7 +59,13 @@ def drive(
     gps: GpsConfig = replace(config.devices.gps, latency_ms=(0.0, 0.0))
     devices = replace(config.devices, encoders=encoders, imu=imu, gps=gps)
     world = World(open_ground(seed, 3.0, seconds), robot_model(robot), devices, ErrorLaw(law, seed), 10**12, seconds)
-    pose = Filter(robot, FilterConfig(fault_length_s=6.0, set=kept), encoders, imu, gps)
+    pose = Filter(
+        robot,
+        FilterConfig(fault_length_s=6.0, set=kept, standstill_s=0.5, standstill_rate_dps=0.02),
+        encoders,
+        imu,
+        gps,
+    )
     start = world.pose(world.start_ns)
     c, s = np.cos(start[5]), np.sin(start[5])
     outcome = Outcome(pose, world.start_ns + int(BEGIN_S * 1e9), 0, 0, [], set(), 0.0, np.inf)

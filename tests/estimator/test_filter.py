@@ -29,7 +29,7 @@ ROBOT = RobotConfig(
     turning_centre_m=0.04,
     normal_slip_ratio=0.01,
 )
-CONFIG = FilterConfig()
+CONFIG = FilterConfig(standstill_s=0.5, standstill_rate_dps=0.02)
 ENCODERS = EncodersConfig(
     port="", dbc="", left="", right="", left_metres_per_tick=0.001, right_metres_per_tick=-0.001, latency_ms=(0.0, 6.0)
 )
@@ -55,7 +55,7 @@ GPS = GpsConfig(
     antenna_y_m=0.05,
     antenna_z_m=0.6,
 )
-BOX, ELLIPSOID = FilterConfig(set="box"), FilterConfig(set="ellipsoid")
+BOX, ELLIPSOID = CONFIG, replace(CONFIG, set="ellipsoid")
 both = pytest.mark.parametrize("config", [BOX, ELLIPSOID], ids=["box", "ellipsoid"])
 MODES = ("corner", "constant", "uniform", "switching", "slow")
 SUBSTEP_NS = 500_000
@@ -526,7 +526,7 @@ def test_a_stretch_of_time_holds_the_whole_way() -> None:
 
 def test_what_is_too_old_or_not_yet_known_is_refused() -> None:
     """Outside of [oldest, horizon] there is no pose: False, NaN, counted."""
-    short = FilterConfig(history_s=0.5)
+    short = FilterConfig(history_s=0.5, standstill_s=0.5, standstill_rate_dps=0.02)
     pose = follow(World(2, seconds=45.0, script="stand", gps=False, accelerometers=False), config=short).filter
     assert pose.oldest_ns is not None
     assert pose.horizon_ns is not None
@@ -623,9 +623,7 @@ def test_a_counter_that_restarts_costs_width_and_nothing_else(config: FilterConf
 def test_a_robot_that_stands_learns_its_gyro_bias() -> None:
     """After standing, yaw grows by the noise alone, not by the bias bound."""
     standing = follow(World(9, script="stand", seconds=8.0, gps=False, mode="constant"))
-    never = follow(
-        World(9, script="stand", seconds=8.0, gps=False, mode="constant"), config=FilterConfig(standstill_s=None)
-    )
+    never = follow(World(9, script="stand", seconds=8.0, gps=False, mode="constant"), config=FilterConfig())
     assert standing.violations == never.violations == 0
     assert standing.width[5] < 0.6 * never.width[5]
 
@@ -636,8 +634,9 @@ def test_a_robot_that_stands_keeps_its_yaw_but_for_what_a_standing_robot_may_tur
     share: float, config: FilterConfig
 ) -> None:
     """Half a minute at the end of the declared rate: yaw holds it, and boxes are hardly wider than that."""
-    config = replace(config, standstill_rate_dps=0.2)
-    yaw_rate, seconds, tilt = share * np.radians(config.standstill_rate_dps), 30.0, 0.3
+    still_dps = 0.2
+    config = replace(config, standstill_rate_dps=still_dps)
+    yaw_rate, seconds, tilt = share * np.radians(still_dps), 30.0, 0.3
     bias = np.radians(IMU.gyro_bias_bound_dps)
     poses = Filter(ROBOT, config, replace(ENCODERS, latency_ms=(0.0, 0.0)), IMU, None)
     for k in range(round(seconds / 0.02)):
@@ -651,7 +650,7 @@ def test_a_robot_that_stands_keeps_its_yaw_but_for_what_a_standing_robot_may_tur
     turned = yaw_rate * pose.earliest_ns * 1e-9
     assert pose.low[5] <= turned <= pose.high[5]
     if config.set == "box":
-        assert pose.high[5] - pose.low[5] < np.radians(3.0 * config.standstill_rate_dps * seconds + 2.7)
+        assert pose.high[5] - pose.low[5] < np.radians(3.0 * still_dps * seconds + 2.7)
 
 
 @both

@@ -25,7 +25,14 @@ def readings() -> list[tuple[int, list[Reading]]]:
 def begin(kept: SetName) -> PoseSet:
     """A pose set that knows nothing yet."""
     robot, devices = declared()
-    return PoseSet(robot, FilterConfig(set=kept, history_s=3.0), devices.encoders, devices.imu, devices.gps, Counter())
+    return PoseSet(
+        robot,
+        FilterConfig(set=kept, history_s=3.0, standstill_s=0.5, standstill_rate_dps=0.02),
+        devices.encoders,
+        devices.imu,
+        devices.gps,
+        Counter(),
+    )
 
 
 def feed(poses: PoseSet, first: int, last: int) -> None:

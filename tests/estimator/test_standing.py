@@ -4,6 +4,7 @@ from dataclasses import replace
 from math import nan, radians
 
 import pytest
+from pydantic import ValidationError
 
 from bench.fault_drive import declared
 from drivers.config import ImuConfig
@@ -15,10 +16,10 @@ STEP_NS = 10_000_000
 CONFIG = FilterConfig(standstill_s=2.0, standstill_rate_dps=0.0)
 
 
-def standing(imu: ImuConfig) -> Filter:
+def standing(imu: ImuConfig, config: FilterConfig = CONFIG) -> Filter:
     """Nothing known yet; no GPS."""
     robot, devices = declared()
-    return Filter(robot, CONFIG, replace(devices.encoders, latency_ms=(0.0, 0.0)), imu, None)
+    return Filter(robot, config, replace(devices.encoders, latency_ms=(0.0, 0.0)), imu, None)
 
 
 def read(
@@ -67,3 +68,25 @@ def test_an_acceleration_across_gravity_hides_in_its_norm(axis: int) -> None:
             assert (now.high[3:5] >= 0.0).all()
     assert checked > 50
     assert pose.guarantee.intact
+
+
+def test_a_robot_that_creeps_keeps_its_pose_where_no_standstill_was_declared() -> None:
+    """It turns by 0.5 deg/s and no tick comes: nobody vouched that it stands. Who had, was contradicted."""
+    imu = replace(declared()[1].imu, latency_ms=(0.0, 0.0), gyro_bias_bound_dps=0.3)
+    for config, intact in ((FilterConfig(), True), (CONFIG, False)):
+        pose = standing(imu, config)
+        for k in range(800):
+            read(pose, k, gyro=(0.0, 0.0, radians(0.5)))
+        now = pose.latest()
+        assert now is not None
+        assert pose.guarantee.intact == intact
+        if intact:
+            turned = radians(0.5) * (now.earliest_ns - 10**12) * 1e-9
+            assert now.low[5] <= turned <= now.high[5]
+
+
+@pytest.mark.parametrize("half", [{"standstill_s": 0.5}, {"standstill_rate_dps": 0.02}])
+def test_a_standstill_is_declared_whole_or_not_at_all(half: dict[str, float]) -> None:
+    """How long without a tick, and how fast it may turn then: one without the other says nothing."""
+    with pytest.raises(ValidationError, match="declare both, or neither"):
+        FilterConfig(**half)  # type: ignore[arg-type]

@@ -59,7 +59,9 @@ def test_a_yaw_that_is_all_around_is_what_lies_beside_the_widest_gap() -> None:
 def test_no_pose_is_false_however_wrong_some_fixes_are(fault: FalseFixes, law: str) -> None:
     """1.5 to 30 times their bound, the newest among them: nothing outside, nothing told, and the pose stays tight."""
     fault = replace(fault, seed=5)
-    outcome = followed(FilterConfig(wrong_fixes=fault.most), fault.changed, law)
+    outcome = followed(
+        FilterConfig(wrong_fixes=fault.most, standstill_s=0.5, standstill_rate_dps=0.02), fault.changed, law
+    )
     assert fault.count >= 5
     assert outcome.false_ns == []
     assert outcome.filter.guarantee.intact
@@ -73,7 +75,7 @@ def test_no_pose_is_false_however_wrong_some_fixes_are(fault: FalseFixes, law: s
 def test_both_sets_bear_false_fixes(kept: SetName) -> None:
     """The ellipsoid is cut by what most fixes agree on, as the box is."""
     fault = FalseFixes(0.0, 1e9, most=2, at_once=True, seed=2)
-    outcome = followed(FilterConfig(set=kept, wrong_fixes=2), fault.changed)
+    outcome = followed(FilterConfig(set=kept, wrong_fixes=2, standstill_s=0.5, standstill_rate_dps=0.02), fault.changed)
     assert fault.count > 15
     assert outcome.false_ns == []
     assert outcome.filter.guarantee.intact
@@ -82,13 +84,16 @@ def test_both_sets_bear_false_fixes(kept: SetName) -> None:
 def test_where_every_fix_is_trusted_the_same_fixes_are_a_fault() -> None:
     """Without wrong_fixes the first false fix is told: the tests above can fail."""
     fault = FalseFixes(0.0, 1e9, share=0.08, seed=5)
-    assert followed(FilterConfig(), fault.changed).filter.guarantee.sensor == "gps"
+    assert (
+        followed(FilterConfig(standstill_s=0.5, standstill_rate_dps=0.02), fault.changed).filter.guarantee.sensor
+        == "gps"
+    )
 
 
 def test_more_false_fixes_than_declared_are_a_fault() -> None:
     """A receiver that is off for good contradicts, in spite of the one fix of twenty that may be wrong."""
 
     jump = GpsJump(14.0, 1e9, 20.0)
-    outcome = followed(FilterConfig(wrong_fixes=1), jump.changed)
+    outcome = followed(FilterConfig(wrong_fixes=1, standstill_s=0.5, standstill_rate_dps=0.02), jump.changed)
     assert outcome.filter.guarantee.sensor == "gps"
     assert outcome.untold == 0

@@ -1,0 +1,117 @@
+"""Where the robot can be on Earth as a polygon: a side in each of 64 fixed directions, moved from fix to fix.
+
+A polygon h [SIDES] is the set of all p with d_m . p <= h_m, d_m at m times 5.6 degrees. A box that is moved grows by
+all that is unknown of the way on every axis, the window's fans in `paving.fits` likewise: what the tracks tell of the
+way *along* the heading, and how little yaw tells across it, are mixed. Here they stay apart, so that the fixes pin the
+way along as well as the tracks allow, and a wrong scale contradicts them as soon as it can.
+"""
+
+from math import cos, pi, sin
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.compiled import compiled
+from estimator.chaining import chain
+from estimator.fan import support
+from estimator.interval import down, mid, reach, up
+
+SIDES = 64
+HALF = SIDES // 2
+SIDE_STEP = 2.0 * pi / SIDES
+SIDE_EAST = np.array([cos(m * SIDE_STEP) for m in range(SIDES)])
+SIDE_NORTH = np.array([sin(m * SIDE_STEP) for m in range(SIDES)])
+SINES = np.array([sin(m * SIDE_STEP) for m in range(HALF)])
+ROUNDING = 1e-12
+"""Relative: covers the directions' rounding and that of a few products, ten times."""
+WIDEST_M = 1e3
+"""A box wider than this is not worth a polygon."""
+
+
+@compiled
+def polygon_of(box: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+    """out [SIDES] encloses the box [2, 2]."""
+    for m in range(SIDES):
+        out[m] = farthest(box, m)
+
+
+@compiled
+def farthest(box: NDArray[np.float64], m: int) -> float:
+    """Not less than d_m . p over the box [2, 2]."""
+    x = box[0, 1] if SIDE_EAST[m] > 0.0 else box[0, 0]
+    y = box[1, 1] if SIDE_NORTH[m] > 0.0 else box[1, 0]
+    return up(SIDE_EAST[m] * x + SIDE_NORTH[m] * y + ROUNDING * (abs(x) + abs(y)))
+
+
+@compiled
+def cut_polygon(polygon: NDArray[np.float64], box: NDArray[np.float64]) -> bool:
+    """The part of polygon [SIDES] in box [2, 2], and box to enclose it, both in place; False where there is none.
+
+    In two dimensions a side is as tight as two others make it: for directions i < m < j less than half a turn apart,
+    d_m = (sin(j - m) d_i + sin(m - i) d_j) / sin(j - i), so h_m is at most the same of h_i and h_j. No point is left
+    exactly if then two opposite sides have passed each other (Farkas).
+    """
+    size = 0.0
+    for m in range(SIDES):
+        polygon[m] = min(polygon[m], farthest(box, m))
+        size = max(size, abs(polygon[m]))
+    for m in range(SIDES):
+        least = polygon[m]
+        for a in range(1, HALF):
+            before = polygon[m - a]
+            for b in range(1, HALF - a):
+                after = polygon[(m + b) % SIDES]
+                least = min(least, (SINES[b] * before + SINES[a] * after) / SINES[a + b])
+        polygon[m] = min(polygon[m], up(least + 64.0 * ROUNDING * size))
+    for m in range(HALF):
+        if polygon[m] < -polygon[m + HALF]:
+            return False
+    quarter = SIDES // 4
+    slack = ROUNDING * size
+    box[0, 0], box[0, 1] = max(box[0, 0], down(-polygon[HALF] - slack)), min(box[0, 1], up(polygon[0] + slack))
+    box[1, 0] = max(box[1, 0], down(-polygon[HALF + quarter] - slack))
+    box[1, 1] = min(box[1, 1], up(polygon[quarter] + slack))
+    return bool(box[0, 0] <= box[0, 1] and box[1, 0] <= box[1, 1])
+
+
+@compiled
+def moved_polygon(
+    polygon: NDArray[np.float64],
+    heading: NDArray[np.float64],
+    seconds: NDArray[np.float64],
+    way: NDArray[np.float64],
+    by_bias: NDArray[np.float64],
+    error: NDArray[np.float64],
+    reference: NDArray[np.float64],
+    now_s: float,
+    quantum: float,
+    drift: float,
+    bias: NDArray[np.float64],
+    yaw: NDArray[np.float64],
+    out: NDArray[np.float64],
+) -> bool:
+    """out [SIDES] encloses where a point of polygon is after the block in row 0; False where that is not known.
+
+    As in `chain`, with yaw [2] and bias [2] now; rows 1 of heading and seconds are now's. The way turned by the yaw's
+    half-width w as in `paving.fits` (SMF equation 23), for any direction in the place of the axes.
+    """
+    ways = chain(
+        1, np.zeros((2, 2, 2)), heading, seconds, way, by_bias, error, reference, now_s, quantum, bias[0], bias[1],
+        drift,
+    )  # fmt: skip
+    if ways.oldest > 0:
+        return False
+    psi = mid((yaw[0], yaw[1]))
+    w = reach((yaw[0], yaw[1]), psi)
+    c, s = cos(psi), sin(psi)
+    kappa = min(0.5 * w * w, 2.0)
+    for m in range(SIDES):
+        # the direction, and the one across it, as seen along the newest heading
+        x, y = c * SIDE_EAST[m] + s * SIDE_NORTH[m], c * SIDE_NORTH[m] - s * SIDE_EAST[m]
+        along, across = x * ways.q[0, 0] + y * ways.q[0, 1], x * ways.q[0, 1] - y * ways.q[0, 0]
+        fan_along = abs(x * ways.slope[0, 0] + y * ways.slope[0, 1]) * ways.h + support(ways.fan[0], x, y)
+        fan_across = abs(x * ways.slope[0, 1] - y * ways.slope[0, 0]) * ways.h + support(ways.fan[0], -y, x)
+        rest = w * abs(across) + 0.5 * kappa * abs(along) + fan_along + w * fan_across
+        slack = ROUNDING * (abs(polygon[m]) + abs(along) + rest + 1.0)
+        out[m] = up(polygon[m] + (along * (1.0 - 0.5 * kappa) + rest + slack))
+    return True
