@@ -115,12 +115,12 @@ def break_it(case: Case, law: str, seed: int, seconds: float, kept: SetName = "b
     went = drive(fault.changed, config, world, until_s=ends_s + config.fault_length_s + LASTS_S)
     outcome = Outcome(untold=went.untold, told=went.told, not_taken_back=went.not_taken_back, checks=went.checks)
     if isinstance(fault, WrongTracks) and fault.scale[0] == fault.scale[1] != 1.0:
-        outcome.soonest_m = _way(world, begin_s, soonest_s(world, fault))
+        outcome.soonest_m = way_driven(world, begin_s, soonest_s(world, fault))
     if went.told_ns is not None:
         told_s = (went.told_ns - world.start_ns) * 1e-9
         outcome.named = went.filter.faults[0].sensor
         outcome.after_s, outcome.too_early = told_s - begin_s, told_s < begin_s
-        outcome.after_m = _way(world, begin_s, told_s)
+        outcome.after_m = way_driven(world, begin_s, told_s)
         outcome.restored_s = _restored_s(went, fault)
     return outcome
 
@@ -142,7 +142,7 @@ def when(world: World, turning: bool) -> float:
     return float((first + int(np.argmax(busy))) * STEP_NS * 1e-9)
 
 
-def _way(world: World, first_s: float, last_s: float) -> float:
+def way_driven(world: World, first_s: float, last_s: float) -> float:
     """Metres driven meanwhile, forward or back; inf where `last_s` is."""
     if not np.isfinite(last_s):
         return float("inf")
