@@ -29,6 +29,7 @@ from estimator.interval import Interval, meet, mid, reach, sub, up, widen
 from estimator.motion import aged_bias, relative_yaw
 from estimator.planar_set import WIDEST_YAW, PlanarSet, advance, correct, show
 from estimator.position import EARTH, MAP, PositionChain, Step
+from estimator.tube import first_not_before
 
 
 class NewestFixOnly(GpsWindow):
@@ -263,15 +264,9 @@ class EllipsoidalPosition(PositionChain):
 
 @compiled
 def node_of(effort: NDArray[np.int64], begin: int, end: int, turned_until: int) -> int:
-    """The gyro node in [begin, end) with that effort of ω_z; before `begin` if there is none. Efforts rise."""
-    low, high = begin, end
-    while low < high:
-        middle = (low + high) // 2
-        if effort[middle, 2] < turned_until:
-            low = middle + 1
-        else:
-            high = middle
-    return low if low < end and effort[low, 2] == turned_until else begin - 1
+    """The gyro node in [begin, end) with that effort of ω_z; before `begin` if there is none. They rise as times do."""
+    node = first_not_before(effort[:, 2:], begin, end, turned_until)
+    return node if node < end and effort[node, 2] == turned_until else begin - 1
 
 
 @compiled

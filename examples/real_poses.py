@@ -1,14 +1,15 @@
 """Real drives through the pose filter: a set at every instant, held against the truth where there is one.
 
-    python examples/real_poses.py [--output FOLDER]
+    python examples/real_poses.py [--output FOLDER] [--set ellipsoid]
 
 For each drive: bounds as an owner declares them from data sheets (examples/real_poses/*.toml), what `check --bounds`
-says of them, the drive's pose sets, and a picture. A contradiction is told, with the sensor and the time.
+says of them, the drive's pose sets, and a picture (of boxes, the default). A contradiction is told, with the sensor
+and the time.
 """
 
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import cos, sin
 from pathlib import Path
 from typing import Annotated
@@ -22,6 +23,7 @@ from drivers.errors import TerraboundError
 from drivers.samples import Scan
 from estimator.bound_usage.ledger import Usage, Verdict
 from estimator.bound_usage.usage import bound_usage
+from estimator.config import SetName
 from estimator.filter import Filter
 from examples.recorded_drives import BEGIN_NS, HOME, RecordedDrive, data_folder, husky, plaza, victoria_park
 from service.config import Config, load
@@ -78,9 +80,10 @@ class Followed:
         return f"the filter was contradicted by {guarantee.sensor} at {seconds:.1f} s"
 
 
-def configuration(name: str) -> Config:
+def configuration(name: str, kind: SetName = "box") -> Config:
     """The bounds declared for a drive."""
-    return load(HERE / "real_poses" / f"{name}.toml").config
+    declared = load(HERE / "real_poses" / f"{name}.toml").config
+    return replace(declared, filter=replace(declared.filter, set=kind))
 
 
 def follow(drive: RecordedDrive, config: Config, step_ns: int = STEP_NS) -> Followed:
@@ -166,7 +169,11 @@ app = App(name="real_poses", help=__doc__)
 
 
 @app.default
-def main(*, output: Annotated[Path, Parameter(help="folder of the pictures")] = HERE.parent / "docs") -> int:
+def main(
+    *,
+    output: Annotated[Path, Parameter(help="folder of the pictures")] = HERE.parent / "docs",
+    kind: Annotated[SetName, Parameter(name="--set", help="an ellipsoid is not drawn")] = "box",
+) -> int:
     """Follow all four drives and draw them."""
     from examples.real_poses_picture import draw_drives
 
@@ -174,9 +181,9 @@ def main(*, output: Annotated[Path, Parameter(help="folder of the pictures")] = 
         folder = data_folder()
         followed = {}
         for name, (bounds, read) in DRIVES.items():
-            followed[name] = follow(read(folder), configuration(bounds))
+            followed[name] = follow(read(folder), configuration(bounds, kind))
             print(summary(followed[name]), flush=True)
-        for path in draw_drives(followed, output):
+        for path in draw_drives(followed, output) if kind == "box" else ():
             print(path)
     except TerraboundError as error:
         print(f"real_poses: {error}", file=sys.stderr)

@@ -65,6 +65,15 @@ def test_the_mowers_place_is_always_in_its_set(folder: Path) -> None:
     assert followed.half_widths[:2].max() < 3.0
 
 
+def test_the_mowers_place_is_always_in_its_ellipsoid_too(folder: Path) -> None:
+    """The paper's set, the first minutes: wider, but as true."""
+    followed = follow(cut(plaza(folder), 120.0), configuration("plaza", "ellipsoid"))
+    assert followed.outside == 0
+    assert len(followed.time_ns) > 500
+    assert followed.filter.guarantee.intact
+    assert followed.half_widths[:2].max() < 10.0
+
+
 def test_a_skidding_mower_contradicts_a_slip_of_five_percent(folder: Path) -> None:
     """At 706 s a step of 0.83 m by the wheels is one of 0.68 m in truth: told within two seconds."""
     config = configuration("plaza")
