@@ -52,30 +52,19 @@ def read_interpreted(
     return count
 
 
-_read: Callable[..., int] = read_interpreted
+read_when_ready: Callable[..., int] = read_interpreted
+"""read_when_ready(fd, timeout_ns, full, watched, moment, times, buffer), as it is done at present (look it up at each
+call): wait until port `fd` has bytes, at most `timeout_ns`; how many were read into `buffer`, or one of the above.
 
-
-def read_when_ready(
-    fd: int,
-    timeout_ns: int,
-    full: int,
-    watched: NDArray[np.int32],
-    moment: NDArray[np.int64],
-    times: NDArray[np.int64],
-    buffer: NDArray[np.uint8],
-) -> int:
-    """Wait until port `fd` has bytes, at most `timeout_ns`; how many were read into `buffer`, or one of the above.
-
-    times [3] goes on from call to call. A read of `full` bytes or more may have left some behind: then the port has not
-    been seen empty. watched [2] and moment [2] are room for this call alone.
-    """
-    return _read(fd, timeout_ns, full, watched, moment, times, buffer)
+times [3] goes on from call to call. A read of `full` bytes or more may have left some behind: then the port has not
+been seen empty. watched [2] and moment [2] are room for this call alone.
+"""
 
 
 def read_in_machine_code() -> None:
     """Have every read from now on done in machine code, which is loaded first (and compiled at the very first)."""
-    global _read
-    from drivers.unlocked_read import compile_read, read_when_ready
+    global read_when_ready
+    from drivers import unlocked_read
 
-    compile_read()
-    _read = read_when_ready
+    unlocked_read.compile_read()
+    read_when_ready = unlocked_read.read_when_ready

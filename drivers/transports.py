@@ -17,8 +17,9 @@ from typing import Protocol
 import numpy as np
 import serial
 
+from drivers import port_read
 from drivers.errors import PortBusy, PortError, PortLost, PortMissing
-from drivers.port_read import EMPTY, INTERRUPTED, READ, SEEN_EMPTY, read_in_machine_code, read_when_ready
+from drivers.port_read import EMPTY, INTERRUPTED, READ, SEEN_EMPTY, read_in_machine_code
 
 _READ_BYTES = 65536
 WRITE_PATIENCE_S = 1.0
@@ -83,7 +84,7 @@ class SerialTransport:
     def read(self, timeout_s: float) -> bytes:
         """What has arrived; waits for the first byte at most `timeout_s`, then b""."""
         timeout_ns = int(max(0.0, timeout_s) * 1e9)
-        count = read_when_ready(
+        count = port_read.read_when_ready(
             self._fd, timeout_ns, _FULL_BYTES, self._watched, self._moment, self._times, self._buffer
         )
         if count >= 0:

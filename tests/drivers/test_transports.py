@@ -39,7 +39,7 @@ def either_way(
 ) -> SerialTransport:
     """The same, read in machine code, and as it is read until that is loaded."""
     if request.param == "interpreter":
-        monkeypatch.setattr(port_read, "_read", port_read.read_interpreted)
+        monkeypatch.setattr(port_read, "read_when_ready", port_read.read_interpreted)
     return host
 
 
