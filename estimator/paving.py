@@ -148,30 +148,38 @@ def fits(
     place: NDArray[np.float64],
     out: NDArray[np.float64],
 ) -> bool:
-    """SMF equation 23: may yaw be in [first, last]? Then out [2, 2] is where in `place` the robot is."""
+    """May yaw be in [first, last]? Then out [2, 2] is where in `place` the robot is."""
     psi = mid((first, last))
-    w = reach((first, last), psi)
-    c, s = cos(psi), sin(psi)
-    kappa = min(0.5 * w * w, 2.0)
+    w, c, s = reach((first, last), psi), cos(psi), sin(psi)
     out[:] = place
     for j in range(count, ways.oldest - 1, -1):
-        ux, uy = c * ways.q[j, 0] - s * ways.q[j, 1], s * ways.q[j, 0] + c * ways.q[j, 1]
-        fx = abs(c * ways.slope[j, 0] - s * ways.slope[j, 1]) * ways.h + support(ways.fan[j], c, -s)
-        fy = abs(s * ways.slope[j, 0] + c * ways.slope[j, 1]) * ways.h + support(ways.fan[j], s, c)
-        rx = w * abs(uy) + 0.5 * kappa * abs(ux) + fx + w * fy
-        ry = w * abs(ux) + 0.5 * kappa * abs(uy) + fy + w * fx
-        ux *= 1.0 - 0.5 * kappa
-        uy *= 1.0 - 0.5 * kappa
-        slack = ROUNDING * (abs(ux) + abs(uy) + rx + ry + 1.0)
-        rx += slack
-        ry += slack
-        out[0, 0] = max(out[0, 0], down(antenna[j, 0, 0] + (ux - rx)))
-        out[0, 1] = min(out[0, 1], up(antenna[j, 0, 1] + (ux + rx)))
-        out[1, 0] = max(out[1, 0], down(antenna[j, 1, 0] + (uy - ry)))
-        out[1, 1] = min(out[1, 1], up(antenna[j, 1, 1] + (uy + ry)))
+        x, y = place_by(j, c, s, w, antenna, ways)
+        out[0, 0], out[0, 1] = max(out[0, 0], x[0]), min(out[0, 1], x[1])
+        out[1, 0], out[1, 1] = max(out[1, 0], y[0]), min(out[1, 1], y[1])
         if out[0, 0] > out[0, 1] or out[1, 0] > out[1, 1]:
             return False
     return True
+
+
+@compiled
+def place_by(
+    j: int, c: float, s: float, w: float, antenna: NDArray[np.float64], ways: Chain
+) -> tuple[Interval, Interval]:
+    """SMF equation 23: where base_link is by fix j, for any yaw within w of the one with cosine c and sine s."""
+    kappa = min(0.5 * w * w, 2.0)
+    ux, uy = c * ways.q[j, 0] - s * ways.q[j, 1], s * ways.q[j, 0] + c * ways.q[j, 1]
+    fx = abs(c * ways.slope[j, 0] - s * ways.slope[j, 1]) * ways.h + support(ways.fan[j], c, -s)
+    fy = abs(s * ways.slope[j, 0] + c * ways.slope[j, 1]) * ways.h + support(ways.fan[j], s, c)
+    rx = w * abs(uy) + 0.5 * kappa * abs(ux) + fx + w * fy
+    ry = w * abs(ux) + 0.5 * kappa * abs(uy) + fy + w * fx
+    ux *= 1.0 - 0.5 * kappa
+    uy *= 1.0 - 0.5 * kappa
+    slack = ROUNDING * (abs(ux) + abs(uy) + rx + ry + 1.0)
+    rx += slack
+    ry += slack
+    x = down(antenna[j, 0, 0] + (ux - rx)), up(antenna[j, 0, 1] + (ux + rx))
+    y = down(antenna[j, 1, 0] + (uy - ry)), up(antenna[j, 1, 1] + (uy + ry))
+    return x, y
 
 
 @compiled

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from drivers.compiled import compiled
 from estimator.chaining import Chain, chain
-from estimator.fan import support
 from estimator.gps_window import GpsWindow
 from estimator.interval import add, down, mid, reach, sub, up, widen
-from estimator.odometry_block import ROUNDING
+from estimator.paving import place_by
 
 CELLS = 16
 ROUNDS = 6
@@ -214,24 +213,11 @@ def pave_relaxed(
 
 @compiled
 def boxes_at(j: int, psi: float, w: float, antenna: Floats, ways: Chain, ends: Floats) -> None:
-    """SMF equation 23: ends[j] [2, 2], where base_link is by fix j, for yaw in psi ± w."""
+    """ends[j] [2, 2], where base_link is by fix j, for yaw in psi ± w."""
     if j < ways.oldest:
         ends[j, :, 0], ends[j, :, 1] = -np.inf, np.inf
         return
-    c, s = cos(psi), sin(psi)
-    kappa = min(0.5 * w * w, 2.0)
-    ux, uy = c * ways.q[j, 0] - s * ways.q[j, 1], s * ways.q[j, 0] + c * ways.q[j, 1]
-    fx = abs(c * ways.slope[j, 0] - s * ways.slope[j, 1]) * ways.h + support(ways.fan[j], c, -s)
-    fy = abs(s * ways.slope[j, 0] + c * ways.slope[j, 1]) * ways.h + support(ways.fan[j], s, c)
-    rx = w * abs(uy) + 0.5 * kappa * abs(ux) + fx + w * fy
-    ry = w * abs(ux) + 0.5 * kappa * abs(uy) + fy + w * fx
-    ux *= 1.0 - 0.5 * kappa
-    uy *= 1.0 - 0.5 * kappa
-    slack = ROUNDING * (abs(ux) + abs(uy) + rx + ry + 1.0)
-    rx += slack
-    ry += slack
-    ends[j, 0, 0], ends[j, 0, 1] = down(antenna[j, 0, 0] + (ux - rx)), up(antenna[j, 0, 1] + (ux + rx))
-    ends[j, 1, 0], ends[j, 1, 1] = down(antenna[j, 1, 0] + (uy - ry)), up(antenna[j, 1, 1] + (uy + ry))
+    ends[j, 0], ends[j, 1] = place_by(j, cos(psi), sin(psi), w, antenna, ways)
 
 
 @compiled
