@@ -6,8 +6,8 @@ This is the only place where a protocol meets a port and a clock.
 import threading
 import time
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
-from drivers.capture import CaptureWriter
 from drivers.clock import Clock
 from drivers.errors import CaptureError, PortError
 from drivers.transports import Transport
@@ -15,6 +15,9 @@ from service.devices import Device
 from service.health import Health
 from service.lateness import Lateness, lateness_ns
 from service.sample_queue import Arrival, SampleQueue
+
+if TYPE_CHECKING:
+    from drivers.capture import CaptureWriter
 
 LONGEST_READ_S = 0.05
 """A read returns at least this often, so that deadlines and the wish to stop are seen."""
@@ -31,7 +34,7 @@ class Reader:
         clock: Clock,
         queue: SampleQueue,
         health: Health,
-        capture: CaptureWriter | None = None,
+        capture: "CaptureWriter | None" = None,
         acknowledge: Callable[[str, int], None] | None = None,
     ) -> None:
         """`acknowledge(device, total bytes)` is called once bytes are parsed and queued; a lockstep waits for it."""

@@ -6,8 +6,8 @@ while numba is loaded; what they read before they can read punctually would be u
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from drivers.capture import CaptureWriter
 from drivers.clock import Clock
 from drivers.errors import CaptureError
 from drivers.port_read import read_in_machine_code
@@ -16,6 +16,9 @@ from service.devices import Device, can_frames, unchecked_wiring
 from service.health import Health
 from service.reader import Reader
 from service.sample_queue import SampleQueue
+
+if TYPE_CHECKING:
+    from drivers.capture import CaptureWriter
 
 
 class Readers:
@@ -56,6 +59,8 @@ class Readers:
     def open_recording(self) -> None:
         """Create the capture's file. CaptureError where that can't be."""
         if self._capture_path is not None:
+            from drivers.capture import CaptureWriter  # most drives are not recorded
+
             framed = can_frames(self.devices)
             self._capture = CaptureWriter(self._capture_path, self._loaded.text, self._loaded.dbc_text(), framed)
 
