@@ -1,14 +1,19 @@
 """Two explanations of what was measured become one set: it holds both, and holds the truth from then on."""
 
 from collections import Counter
+from dataclasses import replace
 from functools import cache
+from math import cos, radians, sin
 
 import numpy as np
+import pymap3d
 import pytest
 
 from bench.fault_drive import RATES, RTK, Reading, declared, inside, world_of
+from drivers.samples import Fix
 from estimator.config import FilterConfig, SetName
 from estimator.pose_set import PoseSet
+from simulator.faults import METRES_PER_DEGREE
 from simulator.sample_stream import sample_stream
 
 LAW, SEED, SECONDS = "switching", 3, 34.0
@@ -92,3 +97,49 @@ def test_a_join_holds_both_and_then_the_truth(kept: SetName) -> None:
             now = boxes(joined, np.array([now_ns]), on_earth=False)
             assert inside(world.pose(now_ns), start, now[0][0], now[1][0])
         assert joined.journal.contradiction is None
+
+
+def ahead(fix: Fix, metres: float) -> Fix:
+    """The fix so far ahead of where it was, along the way that the robot drives then."""
+    world = world_of(LAW, SEED, SECONDS)
+    yaw = world.pose(fix.stamp.mid_ns)[5]
+    north, east = metres * sin(yaw) / METRES_PER_DEGREE, metres * cos(yaw) / METRES_PER_DEGREE
+    return replace(fix, lat_deg=fix.lat_deg + north, lon_deg=fix.lon_deg + east / cos(radians(fix.lat_deg)))
+
+
+def holds(poses: PoseSet) -> bool:
+    """Is the true place on Earth in the newest box? Its origin is the first fix."""
+    world, now_ns = world_of(LAW, SEED, SECONDS), poses.horizon_ns or 0
+    low, high = boxes(poses, np.array([now_ns]), on_earth=True)
+    first = next(sample for _, samples in readings() for sample in samples if isinstance(sample, Fix))
+    x, y, z = world.pose(now_ns)[:3]
+    place = pymap3d.enu2geodetic(x, y, z, *world.origin)
+    true = pymap3d.geodetic2enu(*place, first.lat_deg, first.lon_deg, first.alt_m)[:2]
+    return bool(np.all((low[0, :2] <= true) & (true <= high[0, :2])))
+
+
+@pytest.mark.parametrize("misled_first", [True, False])
+def test_what_only_one_of_both_explanations_holds_goes_on_after_the_join(misled_first: bool) -> None:
+    """Fixes drifted away for three seconds. Who believed them lost the truth; who didn't has it, and so does the join.
+
+    Not only where they were joined: from there on by the tracks alone, whichever of them takes the other in.
+    """
+    together = begin("box")
+    feed(together, 0, 700)
+    misled = together.copy(Counter(), frozenset({"encoders"}))
+    right = together.copy(Counter(), frozenset({"gps"}))
+    for step in range(700, 850):
+        for sample in readings()[step][1]:
+            misled.accept(ahead(sample, 0.003 * (step - 700)) if isinstance(sample, Fix) else sample)
+            right.accept(sample)
+    assert misled.journal.contradiction is None
+    assert not holds(misled)
+    assert holds(right)
+    joined, other = (misled, right) if misled_first else (right, misled)
+    joined.join(other)
+    joined.ignored = frozenset()
+    for _, samples in readings()[850:890]:
+        for sample in samples:
+            if not isinstance(sample, Fix):
+                joined.accept(sample)
+        assert holds(joined)
