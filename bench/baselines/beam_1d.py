@@ -33,7 +33,7 @@ class Scratch(NamedTuple):
     cells: NDArray[np.int32]
     """First and last cell of each measurement."""
     ends: NDArray[np.float32]
-    """Two rows, as each map stores them."""
+    """Two numbers a measurement, as each map stores them."""
 
 
 def new_scratch() -> Scratch:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.baselines.beam_1d import LANES, Scratch, end_of_beam
+from bench.baselines.cell_pair import PAIR_BYTES, hull_pair
 from drivers.compiled import compiled, compiled_unlocked
 from mapper.fused import fused
 from mapper.kernel import round_up
@@ -109,7 +110,7 @@ def _bound_block(
         dX = b_x + slack
         dZ = fused(abs(s), b_range, fused(abs(ahead), b_pitch, rest))
         rows[AHEAD + n], rows[SLACK + n], rows[X_LOW + n], rows[X_HIGH + n] = ahead, slack, X - dX, X + dX
-        ends[n], ends[LANES + n] = round_up(dZ - Z), round_up(Z + dZ)
+        ends[2 * n], ends[2 * n + 1] = round_up(dZ - Z), round_up(Z + dZ)
         spans[n] = np.int32(np.floor(fused(X - dX, per_m, 0.5)))
         spans[LANES + n] = np.int32(np.floor(fused(X + dX, per_m, 0.5)))
 
@@ -127,14 +128,12 @@ def _unbroken(count: int, ahead: float, slack: float, less_than_m: float, rows: 
 @compiled
 def _hull_block(count: int, first_cell: int, spans: NDArray[np.int32], ends: Cells, cells: Cells) -> None:
     """Hull of each measurement's cells with its interval."""
-    size = np.uint64(len(cells))
+    size, first_at, ends_at = np.uint64(len(cells)), np.uint64(cells.ctypes.data), np.uint64(ends.ctypes.data)
     for n in range(count):
-        neg_low, high = ends[n], ends[LANES + n]
+        interval = ends_at + np.uint64(PAIR_BYTES * n)
         i, last = np.uint64(spans[n] - first_cell), np.uint64(spans[LANES + n] - first_cell)
         while i <= last < size:
-            cell = cells[i]
-            cell[0] = neg_low if neg_low > cell[0] else cell[0]
-            cell[1] = high if high > cell[1] else cell[1]
+            hull_pair(first_at + np.uint64(PAIR_BYTES) * i, interval)
             i += np.uint64(1)
 
 

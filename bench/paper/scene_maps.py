@@ -35,7 +35,15 @@ METHODS = (
     "Kalman, b/3",
     "Kalman, b/√3",
     "Kalman, b/3, growing",
+    "set-valued, ours, pose of the Kalman filter",
+    "Kalman, pose as wide as ours",
 )
+POSES = {
+    "the Kalman filter's": (METHODS[9], MIXTURE, METHODS[6]),
+    "our set": (OURS, METHODS[5], METHODS[10]),
+}
+"""Who says where the robot is: set-valued, mixture and Kalman map that believe it. A box of a Kalman filter's pose is
+its three sigma, a Gaussian of our set has its half-widths for three sigma (bound = three sigma)."""
 SCANS_A_TURN = 20
 
 
@@ -145,6 +153,8 @@ def contenders(drive: SceneDrive, cell_m: float) -> tuple[dict[str, Any], dict[s
         METHODS[6]: KalmanMap(cell_m, laser, THREE_SIGMA, tiles=tiles),
         METHODS[7]: KalmanMap(cell_m, laser, UNIFORM, tiles=tiles),
         METHODS[8]: KalmanMap(cell_m, laser, THREE_SIGMA, growth, tiles=tiles),
+        METHODS[9]: ElevationMap(MapConfig(resolution_m=cell_m), laser),
+        METHODS[10]: KalmanMap(cell_m, laser, THREE_SIGMA, tiles=tiles),
     }
 
     def bounded(terrain: Any) -> Callable[[Insertion], object]:
@@ -161,9 +171,13 @@ def contenders(drive: SceneDrive, cell_m: float) -> tuple[dict[str, Any], dict[s
         return insert
 
     wide = {id(scan): _as_wide(scan) for scan in drive.insertions}
+    boxes = {id(scan): _three_sigma(scan) for scan in drive.insertions}
 
-    def same_width(terrain: MixtureMap) -> Callable[[Insertion], object]:
+    def same_width(terrain: MixtureMap | KalmanMap) -> Callable[[Insertion], object]:
         return lambda scan: terrain.insert(scan.scan, *wide[id(scan)], scan.pose_index)
+
+    def believing(terrain: ElevationMap) -> Callable[[Insertion], object]:
+        return lambda scan: terrain.insert(scan.scan, *boxes[id(scan)], scan.pose_index)
 
     return maps, {
         **{name: bounded(maps[name]) for name in METHODS[:3]},
@@ -173,6 +187,8 @@ def contenders(drive: SceneDrive, cell_m: float) -> tuple[dict[str, Any], dict[s
         METHODS[6]: gaussian(maps[METHODS[6]], THREE_SIGMA),
         METHODS[7]: gaussian(maps[METHODS[7]], UNIFORM),
         METHODS[8]: growing(maps[METHODS[8]]),
+        METHODS[9]: believing(maps[METHODS[9]]),
+        METHODS[10]: same_width(maps[METHODS[10]]),
     }
 
 
@@ -180,6 +196,13 @@ def _as_wide(scan: Insertion) -> tuple[Array, Array]:
     """Independent Gaussians whose three sigma are the pose set's half-widths."""
     sigma = 0.5 * (scan.high - scan.low) / THREE_SIGMA
     return 0.5 * (scan.low + scan.high), np.einsum("mi,ij->mij", sigma**2, np.eye(6))
+
+
+def _three_sigma(scan: Insertion) -> tuple[Array, Array]:
+    """The box of a Gaussian pose: its mean and three sigma to either side, which is no bound."""
+    mean, covariance = scan.gaussian[THREE_SIGMA]
+    reach = THREE_SIGMA * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    return mean - reach, mean + reach
 
 
 def fill(inserts: dict[str, Callable[[Insertion], object]], insertions: list[Insertion]) -> dict[str, float]:

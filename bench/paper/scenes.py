@@ -16,6 +16,7 @@ from bench.paper.scene_drive import SETTINGS, Setting, drive_scene
 from bench.paper.scene_maps import (
     METHODS,
     OURS,
+    POSES,
     SIGMAS,
     Layers,
     TrueCells,
@@ -188,6 +189,7 @@ def report(place: Place, runs: list[Run]) -> str:
         _map_table(device[0], place.window),
         _time_table(device[0], paper),
         _law_table(device),
+        _pose_table(device),
     ]
     return "\n\n".join([*parts, _surely_table(device)])
 
@@ -261,6 +263,32 @@ def _law_table(runs: list[Run]) -> str:
             width = float(np.mean([s["width_m"] for s in scores]))
             cells.append(f"{_percent(float(np.mean(held)))} ({_percent(min(held))}), {_mm(width)}")
         rows.append(f"| {name} | {' | '.join(cells)} |")
+    return "\n".join(rows)
+
+
+def _pose_table(runs: list[Run]) -> str:
+    """Every map fed with either filter's pose."""
+    laws = [errors for errors in LAWS if any(run.task.errors == errors for run in runs)]
+    rows = [
+        "**The pose**: the same maps, once with a Kalman filter's pose (a box of it: three sigma), once with our set "
+        "(a Gaussian of it: its half-widths for three sigma). Share of truly hit cells whose bounds hold every true "
+        "hit; RMSE over the cells that all maps fill, and over all a map fills; cells filled. Means over the seeds.",
+        "",
+        "| errors | pose | map | containment | RMSE, common cells | RMSE, all | filled |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for errors in laws:
+        for pose, names in POSES.items():
+            for kind, name in zip(("set-valued", "mixture", "Kalman"), names, strict=True):
+                scores = [run.scores[name] for run in runs if run.task.errors == errors]
+                held, common, all_, filled = (
+                    float(np.mean([s[key] for s in scores]))
+                    for key in ("containment", "rmse_common_m", "rmse_m", "filled")
+                )
+                rows.append(
+                    f"| {errors} | {pose} | {kind} | {_percent(held)} | {_mm(common)} | {_mm(all_)} "
+                    f"| {100 * filled:.0f} % |"
+                )
     return "\n".join(rows)
 
 
