@@ -45,6 +45,8 @@ POSES = {
 """Who says where the robot is: set-valued, mixture and Kalman map that believe it. A box of a Kalman filter's pose is
 its three sigma, a Gaussian of our set has its half-widths for three sigma (bound = three sigma)."""
 SCANS_A_TURN = 20
+Turns = NDArray[np.int64]
+"""[turns] nanoseconds"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,12 +125,12 @@ class MapSet:
 
 
 def build(drive: SceneDrive, window: Window, repeats: int = 3) -> MapSet:
-    """Insert every scan into every map, map by map in turns; times are the quietest of `repeats` passes."""
+    """Insert every scan into every map, map by map in turns; each turn's time is that of the quietest pass."""
     passes = []
     for _ in range(repeats):
         maps, inserts = contenders(drive, window.cell_m)
         passes.append(fill(inserts, drive.insertions))
-    step_us = {name: min(times[name] for times in passes) for name in METHODS}
+    step_us = quietest(passes, len(drive.insertions))
     layers = {name: layers_of(maps[name], window) for name in METHODS}
     ours: ElevationMap = maps[OURS]
     saved = assemble(ours.tiles(), window.cell_m, "map")
@@ -205,9 +207,9 @@ def _three_sigma(scan: Insertion) -> tuple[Array, Array]:
     return mean - reach, mean + reach
 
 
-def fill(inserts: dict[str, Callable[[Insertion], object]], insertions: list[Insertion]) -> dict[str, float]:
-    """Mean CPU time of a scan for each map, in microseconds: some scans into each map in turn, then the next ones."""
-    spent = dict.fromkeys(inserts, 0)
+def fill(inserts: dict[str, Callable[[Insertion], object]], insertions: list[Insertion]) -> dict[str, Turns]:
+    """CPU time of each turn of each map, in nanoseconds: some scans into each map in turn, then the next ones."""
+    spent: dict[str, list[int]] = {name: [] for name in inserts}
     names = list(inserts)
     for turn, first in enumerate(range(0, len(insertions), SCANS_A_TURN)):
         scans = insertions[first : first + SCANS_A_TURN]
@@ -220,8 +222,13 @@ def fill(inserts: dict[str, Callable[[Insertion], object]], insertions: list[Ins
             start = time.thread_time_ns()
             for scan in scans:
                 insert(scan)
-            spent[name] += time.thread_time_ns() - start
-    return {name: total / len(insertions) / 1e3 for name, total in spent.items()}
+            spent[name].append(time.thread_time_ns() - start)
+    return {name: np.array(turns) for name, turns in spent.items()}
+
+
+def quietest(passes: list[dict[str, Turns]], scans: int) -> dict[str, float]:
+    """Mean CPU time of a scan for each map, in microseconds, each turn's as it was in the quietest pass."""
+    return {name: float(np.min([turns[name] for turns in passes], axis=0).sum()) / scans / 1e3 for name in passes[0]}
 
 
 def _read(scan: Insertion) -> None:

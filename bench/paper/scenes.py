@@ -231,7 +231,8 @@ def _map_table(run: Run, window: Window) -> str:
 
 def _time_table(device: Run, paper: Run) -> str:
     rows = [
-        f"**CPU time of a scan** into the map, in turns in one process. Mark: ours at most {100 * MARK:.0f} % of the "
+        f"**CPU time of a scan** into the map, in turns in one process, each turn in the quietest of three "
+        f"passes. Mark: ours at most {100 * MARK:.0f} % of the "
         "mixture's.",
         "",
         f"| map | {SETTINGS['device']} | ours takes | {SETTINGS['paper']} | ours takes | bytes a cell |",
