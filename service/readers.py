@@ -41,10 +41,11 @@ class Readers:
         self._loaded = loaded
         self._capture_path = capture
         self._capture: CaptureWriter | None = None
-        self._readers: list[Reader] = []
+        self._readers: dict[str, Reader] = {}
 
     def __iter__(self) -> Iterator[Reader]:
-        return iter(self._readers)
+        """Those that were started, in the devices' order."""
+        return (self._readers[device.name] for device in self.devices if device.name in self._readers)
 
     @property
     def started(self) -> bool:
@@ -54,7 +55,7 @@ class Readers:
     @property
     def failure(self) -> BaseException | None:
         """What ended one of them early, if anything did."""
-        return next((reader.failure for reader in self._readers if reader.failure is not None), None)
+        return next((reader.failure for reader in self if reader.failure is not None), None)
 
     def open_recording(self) -> None:
         """Create the capture's file. CaptureError where that can't be."""
@@ -72,8 +73,9 @@ class Readers:
         """
         # The scanner first: it may have to be set up, which takes a second.
         for device in sorted(self.devices, key=lambda device: device.name != "laser"):
-            self._readers.append(Reader(device, self.clock, self.queue, self.health, self._capture, acknowledge))
-            self._readers[-1].start()
+            reader = Reader(device, self.clock, self.queue, self.health, self._capture, acknowledge)
+            self._readers[device.name] = reader
+            reader.start()
 
     def read_punctually(self) -> None:
         """From now on bytes are stamped as they come, and samples are kept."""
@@ -82,7 +84,7 @@ class Readers:
 
     def stop(self) -> None:
         """Close the ports; what was read stays in the queue."""
-        for reader in self._readers:
+        for reader in self:
             reader.stop()
 
     def end_recording(self) -> None:
