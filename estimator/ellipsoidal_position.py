@@ -29,6 +29,7 @@ from estimator.interval import Interval, meet, mid, reach, sub, up, widen
 from estimator.motion import aged_bias, relative_yaw
 from estimator.planar_set import WIDEST_YAW, PlanarSet, advance, correct, show
 from estimator.position import EARTH, MAP, PositionChain, Step
+from estimator.slip_ledger import SlipLedger
 from estimator.tube import first_not_before
 
 
@@ -49,9 +50,9 @@ class NewestFixOnly(GpsWindow):
 class Witness(NewestFixOnly):
     """Only the newest fix contracts; a whole window beside it contradicts, and contracts while it is `alone`."""
 
-    def __init__(self, bias_drift: float) -> None:
+    def __init__(self, bias_drift: float, ledger: SlipLedger) -> None:
         super().__init__(bias_drift)
-        self._whole = GpsWindow(bias_drift)
+        self._whole = GpsWindow(bias_drift, ledger)
         self.alone = True
 
     def clear(self) -> None:
@@ -111,7 +112,7 @@ class EllipsoidalPosition(PositionChain):
         journal: Journal,
     ) -> None:
         super().__init__(robot, config, encoders, attitude, journal)
-        self._witness = None if config.wrong_fixes else Witness(attitude.gyro.bias_drift)
+        self._witness = None if config.wrong_fixes else Witness(attitude.gyro.bias_drift, self.ledger)
         self.window = self._witness or self.window
         self.sets = (PlanarSet(MAP.start, MAP_YAW), PlanarSet(EARTH.start, EARTH_YAW))
 
