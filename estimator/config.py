@@ -33,7 +33,7 @@ class RobotConfig:
     """Fore-aft offset of the instantaneous turning centre."""
     turning_gauge_m: tuple[Positive, Positive] | None = None
     """[least, most] distance between the tracks' turning centres, to either side of which a track doesn't slide along
-    itself; at least the gauge, by calibration. None: the tracks' difference says nothing of yaw."""
+    itself; at least the gauge, by calibration; it may change while driving. None: the tracks say nothing of yaw."""
     max_tilt_rate_dps: Positive | None = None
     """|body rate| about the x and the y axis, if slower than max_turn_rate_dps: how fast roll and pitch change."""
     normal_slip_ratio: NotNegative

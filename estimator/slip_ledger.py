@@ -8,7 +8,9 @@ x = (T_R - T_L - gauge * turn) / 2 and m = (δ_L + δ_R) / 2, the slip of the mi
 
 Over many steps the slips of the middle add up to no more than their bounds less the *credit*,
 |sum x| - sum |r_L - r_R| / 2. Tracks that slip alike earn none; where they slip by their bounds to opposite sides,
-nothing is left of the slip's error. Only sums count, so the error of the counts enters once.
+nothing is left of the slip's error. Only sums count, so the error of the counts enters once. The gauge may change from
+one instant to the next within [gauge] = c ± w: the integral of gauge times turn is then c times the whole turn, ± w
+times how much was turned to and fro.
 """
 
 from typing import NamedTuple
@@ -19,8 +21,8 @@ from numpy.typing import NDArray
 from drivers.compiled import compiled
 from drivers.samples import Stamp
 from estimator.attitude import AttitudeChain
-from estimator.interval import Interval, mig, mul, sub, up, widen
-from estimator.motion import TrackBounds, variation
+from estimator.interval import Interval, mid, mig, mul, reach, sub, up, widen
+from estimator.motion import QUANTUM, TrackBounds, variation
 from estimator.rate_integral import integral_between
 
 BREAKS = 3
@@ -61,20 +63,24 @@ class SlipLedger:
         turned = self._turned(since.stamp, self._stamp)
         if turned is None:
             return 0.0
+        whole, to_and_fro = turned
+        centre = mid(self._gauge)
         left, right, spread, _ = (self._sums - since.sums).tolist()
         rounding = 1e-11 * (1.0 + float(np.abs(self._sums[:BREAKS]).sum()))
         q = up(up(self._tracks.quantum_left + self._tracks.quantum_right) + rounding)
-        x = sub(widen((right - left, right - left), q), mul(self._gauge, turned))
+        q = up(q + up(reach(self._gauge, centre) * to_and_fro))
+        x = sub(widen((right - left, right - left), q), mul((centre, centre), whole))
         return float(max(0.0, (0.5 * mig(x) - spread - rounding) * (1.0 - 1e-12)))
 
-    def _turned(self, first: Stamp, last: Stamp) -> Interval | None:
-        """The integral of ω_z between two counts; None where the gyroscope's nodes don't reach around."""
+    def _turned(self, first: Stamp, last: Stamp) -> tuple[Interval, float] | None:
+        """The integral of ω_z between two counts, and no less than that of |ω_z|; None without nodes around them."""
         tube = self._attitude.tube
         a, a_after = tube.before(first.earliest_ns), tube.after(first.latest_ns)
         b_before, b = tube.before(last.earliest_ns), tube.after(last.latest_ns)
         if a < tube.begin or b >= tube.end or a_after > b_before:
             return None
-        return integral_between(tube.net, tube.effort, 2, a, a_after, b_before, b)
+        to_and_fro = float(tube.effort[b, 2] - tube.effort[a, 2]) * QUANTUM
+        return integral_between(tube.net, tube.effort, 2, a, a_after, b_before, b), to_and_fro
 
 
 @compiled

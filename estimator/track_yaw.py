@@ -1,7 +1,9 @@
 """What the tracks' difference says of yaw: alone where the gyroscope is silent, and against it where it speaks.
 
 The ground speeds of the tracks differ by the yaw rate times the distance of their turning centres (Martinez et al.
-2005), so over a stretch between two counts the integral of ω_z is in ((right - left) ± slip ± quanta) / [gauge].
+2005), so over a stretch between two counts the integral of ω_z is in ((right - left) ± slip ± quanta) / [gauge]. That
+distance may change meanwhile: with [gauge] = c ± w it is ((right - left) ± slip ± quanta ± w times the integral of
+|ω_z|) / c, which is the same where all of the stretch turns to one side.
 """
 
 from itertools import islice
@@ -84,7 +86,9 @@ class TrackYaw:
         bounds = self._tracks
         slack = up(up(bounds.slip * self._way) + up(bounds.quantum_left + bounds.quantum_right))
         slack = up(slack + 1e-12 * (abs(self._left) + abs(self._right)))
-        turned = divide(widen((self._right - self._left, self._right - self._left), slack), gauge)
+        centre, to_and_fro = mid(gauge), float(tube.effort[b, 2] - tube.effort[a, 2]) * QUANTUM
+        slack = up(slack + up(reach(gauge, centre) * to_and_fro))
+        turned = divide(widen((self._right - self._left, self._right - self._left), slack), (centre, centre))
         by_tracks = yaw_by_tracks(tube.box, tube.swing, tube.net, tube.effort, a, a_after, b_before, b, turned)
         by_gyro = sub((0.0, 0.0), chain.yaw_between(a, a_after, b))
         if is_empty(meet(by_tracks, by_gyro)):
