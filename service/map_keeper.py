@@ -6,8 +6,7 @@ is in danger while a disk is full, read-only or away: health tells, and saving r
 
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -63,9 +62,9 @@ class Unkept:
         """Nothing is there."""
         return None
 
-    def kept(self) -> list[Tile]:
+    def kept(self) -> Iterator[Tile]:
         """Nothing."""
-        return []
+        return iter(())
 
     def state(self) -> dict[str, Any]:
         """Nothing to tell."""
@@ -102,8 +101,12 @@ class MapKeeper:
         self._writing: dict[Place, Tile] = {}
         self._saved: set[Place] = set()
         self._away: set[Place] = set()
-        """Left memory; what is mapped there meanwhile begins anew in memory."""
-        self._returned: deque[Tile] = deque()
+        """Left memory; what is mapped there meanwhile begins anew in memory. Until the pipeline has taken a tile back,
+        it is the store that holds the whole of it."""
+        self._touched: set[Place] = set()
+        """Those of `_away` that were mapped again: to be read back."""
+        self._returned: dict[Place, Tile] = {}
+        """Those of `_touched` that are read, and wait for the pipeline."""
         self._words = Submap(0, resolution_m, frame)
         """Number in the store, anchor and guarantee of the run's submap."""
         self._words_changed = False
@@ -150,9 +153,11 @@ class MapKeeper:
             self._words = words
 
     def is_saved(self, place: Place) -> bool:
-        """Is the newest state that was offered of a tile on the disk?"""
+        """Is all of a tile on the disk, and none of it on its way back into memory?"""
         with self._wake:
-            return place in self._saved and place not in self._pending and place not in self._writing
+            return place in self._saved and not any(
+                place in moving for moving in (self._pending, self._writing, self._away)
+            )
 
     def left_memory(self, places: Iterable[Place]) -> None:
         """These tiles, all saved, are in the store alone from now on."""
@@ -160,11 +165,13 @@ class MapKeeper:
             self._away.update(places)
 
     def returned(self) -> list[Tile]:
-        """What the store holds of tiles that had left memory and were touched again: to be joined into the map."""
+        """What the store holds of tiles that had left memory and were touched again: to be joined into the map, by the
+        thread that asks for `kept`: a tile is always in one of the two."""
         with self._wake:
-            tiles = list(self._returned)
-            self._returned.clear()
-            return tiles
+            back, self._returned = self._returned, {}
+            self._touched -= back.keys()
+            self._away -= back.keys()
+            return list(back.values())
 
     def recall(self, place: Place) -> Tile | None:
         """All that was ever offered or stored of a tile; None where the store can't give it. Reads the disk."""
@@ -179,11 +186,11 @@ class MapKeeper:
         stored = stored if stored.submap == place[0] else replace(stored, submap=place[0])
         return stored if newest is None else join(stored, newest)
 
-    def kept(self) -> list[Tile]:
-        """Tiles of this run that have left memory, as they are in the store."""
+    def kept(self) -> Iterator[Tile]:
+        """Tiles of this run that are not, or not wholly, in memory now; any thread may take them from the disk."""
         with self._wake:
             away = sorted(self._away)
-        return [tile for tile in map(self.recall, away) if tile is not None]
+        return (tile for tile in map(self.recall, away) if tile is not None)
 
     def state(self) -> dict[str, Any]:
         """How keeping does, for health."""
@@ -216,6 +223,7 @@ class MapKeeper:
                 if self._store is None:
                     self._open()
                 self._save()
+                self._read_back()
             except Exception as error:
                 # Whatever it is: mapping goes on, and the store is opened anew.
                 self._failed(error if isinstance(error, StoreError) else StoreError(f"{self._path}: {error!r}"))
@@ -297,15 +305,20 @@ class MapKeeper:
             raise
         with self._wake:
             self._saved.update(self._writing)
-            back = [place for place in self._writing if place in self._away]
-            self._away.difference_update(back)
+            self._touched |= self._writing.keys() & self._away
             self._writing = {}
             self._state["saves"] += 1
             self._state["tiles_written"] += written
             self._state |= {"saved_ns": time.monotonic_ns(), "saved_up_to_ns": released_ns}
-        for tile in map(self.recall, back):
-            if tile is not None:
-                self._returned.append(tile)
+
+    def _read_back(self) -> None:
+        """Tiles that had left memory and were mapped again come back; one that can't be read is tried again."""
+        with self._wake:
+            wanted = sorted(self._touched - self._returned.keys())
+        for place in wanted:
+            if (tile := self.recall(place)) is not None:
+                with self._wake:
+                    self._returned[place] = tile
 
     def _failed(self, error: StoreError) -> None:
         """Tell; let go of a connection that is suspect."""

@@ -6,7 +6,7 @@ Used alike by `run`, `demo`, `replay --ports` and the tests; they differ in the 
 import gc
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -178,17 +178,17 @@ class Onboard:
         """Copy the map, and have a thread write it: nothing else waits for the disk. One at a time."""
         path, busy = self._map_path, self._saver is not None and self._saver.is_alive()
         if path is not None and not busy:
-            tiles, state = self.pipeline.map.tiles(), self.pipeline.filter
+            # What memory lacks is settled now, by the thread that brings tiles back; the disk is read by the saver.
+            whole, state = chain(self.pipeline.map.tiles(), self.keeper.kept()), self.pipeline.filter
             self._saver = threading.Thread(
-                target=self._write_copy, args=(tiles, state.anchor, state.guarantee, path), name="saver", daemon=True
+                target=self._write_copy, args=(whole, state.anchor, state.guarantee, path), name="saver", daemon=True
             )
             self._saver.start()
 
-    def _write_copy(self, tiles: tuple[Tile, ...], anchor: Anchor | None, guarantee: Guarantee, path: Path) -> None:
+    def _write_copy(self, tiles: Iterable[Tile], anchor: Anchor | None, guarantee: Guarantee, path: Path) -> None:
         """Save while running: a full disk is told, and mapping goes on."""
         try:
-            whole = chain(tiles, self.keeper.kept())
-            save_tiles(whole, self.pipeline.map.config.resolution_m, anchor, guarantee, path)
+            save_tiles(tiles, self.pipeline.map.config.resolution_m, anchor, guarantee, path)
         except TerraboundError as error:
             self.health.trouble("saving", str(error))
         else:

@@ -127,20 +127,38 @@ def test_recall_gives_all_that_was_ever_handed_over(tmp_path: Path) -> None:
         assert keeper.recall((0, 0, 0)) == a_tile(0, 1)
         wait_until(lambda: all_saved(keeper))
         keeper.left_memory([(0, 0, 0)])
-        assert keeper.kept() == [a_tile(0, 1)]
+        assert list(keeper.kept()) == [a_tile(0, 1)]
         offer(keeper, a_tile(0, 2))
         both = join(a_tile(0, 1), a_tile(0, 2))
         assert keeper.recall((0, 0, 0)) == both
         back: list[Tile] = []
 
         def something_came_back() -> bool:
+            # Whoever saves the map at any moment of this finds the tile here, until it has been taken back.
+            assert list(keeper.kept()) == [both]
+            assert not keeper.is_saved((0, 0, 0))
             back.extend(keeper.returned())
             return bool(back)
 
         wait_until(something_came_back)
         assert back == [both]
-        assert keeper.kept() == []
+        assert list(keeper.kept()) == []
+        wait_until(lambda: keeper.is_saved((0, 0, 0)))
         assert keeper.recall((0, 9, 9)) is None
+
+
+def test_a_map_that_is_written_while_tiles_come_back_is_whole(tmp_path: Path) -> None:
+    """What memory lacked when it was copied is read from the store, though meanwhile it came back into memory."""
+    with keeping(tmp_path / "map.db") as keeper:
+        keeper.start()
+        offer(keeper, a_tile(0, 1))
+        wait_until(lambda: all_saved(keeper))
+        keeper.left_memory([(0, 0, 0)])
+        offer(keeper, a_tile(0, 2))
+        wait_until(lambda: all_saved(keeper))
+        missing = keeper.kept()
+        wait_until(lambda: bool(keeper.returned()))
+        assert list(missing) == [join(a_tile(0, 1), a_tile(0, 2))]
 
 
 def test_a_store_that_is_away_at_the_start_is_used_once_it_is_there(tmp_path: Path) -> None:
