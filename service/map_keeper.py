@@ -322,8 +322,8 @@ class MapKeeper:
 
     def _failed(self, error: StoreError) -> None:
         """Tell; let go of a connection that is suspect."""
-        self._opened.set()
         self._health.trouble(STORE, str(error))
+        self._opened.set()
         if error.reopen:
             self._let_go()
 

@@ -7,7 +7,6 @@ import json
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -29,6 +28,7 @@ from service.commands.emulate import Law, Speed
 from service.commands.emulated import EmulatedRobot
 from service.commands.evaluation import draw_evaluation, evaluate, results_table
 from service.config import LoadedConfig, load
+from service.loopback import free_locator
 from service.messages import write_pose
 from service.onboard import Onboard
 from service.shipped import shipped_config
@@ -122,10 +122,7 @@ def demo_configuration(folder: Path, pose_set: SetName = "box") -> LoadedConfig:
     source = shipped_config("demo.toml")
     shutil.copy(shipped_config("tracks.dbc"), folder)
     (folder / "ports").mkdir()
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        free = probe.getsockname()[1]
-    text = source.read_text(encoding="utf-8").replace("tcp/127.0.0.1:7447", f"tcp/127.0.0.1:{free}")
+    text = source.read_text(encoding="utf-8").replace("tcp/127.0.0.1:7447", free_locator())
     text = text.replace('set = "box"', f'set = "{pose_set}"')
     (folder / "demo.toml").write_text(text, encoding="utf-8")
     return load(folder / "demo.toml")

@@ -22,6 +22,7 @@ from mapper.saved_map import assemble, load
 from mapper.tile import Tile, join, snap_outward
 from mapper.tile_codec import encode
 from service.client import RemoteMap
+from service.loopback import free_locator
 from service.messages import GuaranteeMessage, TileId, TileNote, write
 from service.publish_config import PublishConfig
 from service.publisher import MapUpdate, Publisher
@@ -29,12 +30,6 @@ from service.session import open_session
 from service.topics import robot_key, tile_key
 
 WAIT_S = 30.0
-
-
-def free_address() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 class Drive:
@@ -82,7 +77,7 @@ def publishing(address: str, robot: str = "rover", digest_period_s: float = 0.2)
 
 def test_a_copy_equals_the_robots_map_bit_for_bit() -> None:
     """G4 with nothing lost: deltas alone build the copy, and nothing had to be asked for again."""
-    course, address = Drive(), free_address()
+    course, address = Drive(), free_locator()
     with publishing(address) as publisher, RemoteMap(address, robot="rover") as remote:
         assert remote.wait_in_sync(WAIT_S)
         drive(publisher, course, range(40))
@@ -96,7 +91,7 @@ def test_a_copy_equals_the_robots_map_bit_for_bit() -> None:
 
 def test_when_it_is_closed_no_thread_is_left_to_abort_the_process() -> None:
     """A thread that is inside Zenoh when the interpreter ends aborts it; neither side leaves one, however often."""
-    before, address = set(threading.enumerate()), free_address()
+    before, address = set(threading.enumerate()), free_locator()
     for _ in range(20):
         with publishing(address), RemoteMap(address) as remote:
             assert remote.wait_alive(WAIT_S)
@@ -105,7 +100,7 @@ def test_when_it_is_closed_no_thread_is_left_to_abort_the_process() -> None:
 
 def test_a_late_joiner_gets_everything() -> None:
     """Who comes after the drive asks for each tile, and finds the robot's name by itself."""
-    course, address = Drive(), free_address()
+    course, address = Drive(), free_locator()
     with publishing(address) as publisher:
         drive(publisher, course, range(40))
         assert publisher.flush(WAIT_S)
@@ -118,7 +113,7 @@ def test_a_late_joiner_gets_everything() -> None:
 
 def test_a_ring_that_overflows_loses_messages_and_the_copy_becomes_equal_all_the_same() -> None:
     """Nearly every message is lost on the subscriber's side; the digest tells, and repair brings the tiles."""
-    course, address = Drive(), free_address()
+    course, address = Drive(), free_locator()
     with publishing(address) as publisher, RemoteMap(address, ring=1) as remote:
         assert remote.wait_alive(WAIT_S)
         # While this thread holds the copy, the receiver stands still and its ring runs over.
@@ -132,7 +127,7 @@ def test_a_ring_that_overflows_loses_messages_and_the_copy_becomes_equal_all_the
 
 def test_waiting_for_equality_is_not_content_with_an_old_digest() -> None:
     """What was published before the call is in the copy when the wait ends, though the copy was in sync long before."""
-    course, address = Drive(), free_address()
+    course, address = Drive(), free_locator()
     with publishing(address) as publisher, RemoteMap(address) as remote:
         for number in range(5):
             drive(publisher, course, range(number, number + 1))
@@ -143,7 +138,7 @@ def test_waiting_for_equality_is_not_content_with_an_old_digest() -> None:
 
 def test_a_second_process_that_joins_late_saves_the_same_map(tmp_path: Path) -> None:
     """G4 across processes: the file that a remote process writes holds the robot's cells, bit for bit."""
-    course, address = Drive(), free_address()
+    course, address = Drive(), free_locator()
     saved = tmp_path / "remote.npz"
     program = (
         "import sys\n"
@@ -175,7 +170,7 @@ def test_a_second_process_that_joins_late_saves_the_same_map(tmp_path: Path) -> 
 
 def test_a_stopped_subscriber_holds_up_neither_the_robot_nor_the_others() -> None:
     """A frozen process's link fills up; publishing goes on, and a healthy subscriber gets it all."""
-    course, address = Drive(), free_address()
+    course, address = Drive(), free_locator()
     program = (
         "import sys, threading\n"
         "from service.client import RemoteMap\n"
@@ -267,7 +262,7 @@ class Relay:
 
 def test_a_cut_link_is_survived_and_the_copy_becomes_equal_again() -> None:
     """What was published during the cut is brought afterwards; mapping never noticed."""
-    course, address = Drive(), free_address()
+    course, address = Drive(), free_locator()
     with publishing(address) as publisher:
         relay = Relay(address)
         with RemoteMap(relay.address) as remote:
@@ -289,7 +284,7 @@ def test_a_cut_link_is_survived_and_the_copy_becomes_equal_again() -> None:
 
 def test_a_restarted_robot_is_followed_by_itself_and_its_maps_are_not_mixed() -> None:
     """After a restart the map frame may be another: the copy begins anew and equals the new map alone."""
-    old, new, address = Drive(seed=1), Drive(seed=2), free_address()
+    old, new, address = Drive(seed=1), Drive(seed=2), free_locator()
     with RemoteMap(address) as remote:
         with publishing(address) as publisher:
             drive(publisher, old, range(20))
@@ -309,7 +304,7 @@ def test_a_restarted_robot_is_followed_by_itself_and_its_maps_are_not_mixed() ->
 
 def test_a_copy_that_claims_more_than_the_robot_is_mended() -> None:
     """G4 the other way: a wrong cell, and a tile the robot never had, are gone after the next digest."""
-    course, address = Drive(), free_address()
+    course, address = Drive(), free_locator()
     with publishing(address) as publisher, RemoteMap(address) as remote:
         drive(publisher, course, range(10))
         assert publisher.flush(WAIT_S)
@@ -327,7 +322,7 @@ def test_a_copy_that_claims_more_than_the_robot_is_mended() -> None:
 
 def test_latencies_are_those_of_tiles_that_were_sent_not_asked_for() -> None:
     """Each tile that came live gives one arrival minus release; answers to questions give none."""
-    course, address = Drive(), free_address()
+    course, address = Drive(), free_locator()
     with publishing(address) as publisher:
         with RemoteMap(address) as remote:
             assert remote.wait_in_sync(WAIT_S)
@@ -349,7 +344,7 @@ def test_a_guarantee_that_broke_is_seen_remotely() -> None:
     """G5: the copy says which sensor contradicted its bounds, and when."""
     void = Guarantee(void_since_ns=123, sensor="gps")
     anchor = Anchor(47.0, 8.0, 400.0, np.zeros(4), np.ones(4), void)
-    course, address = Drive(), free_address()
+    course, address = Drive(), free_locator()
     with publishing(address) as publisher, RemoteMap(address) as remote:
         touched = course.step(0).tiles
         publisher.offer(MapUpdate(touched, None, anchor, {}, void, 1))
@@ -373,7 +368,7 @@ def test_a_copy_tells_which_of_its_tiles_are_older_than_the_doubt(tmp_path: Path
     """A fault takes back what was published since it may have begun; tiles whose beams are older stay promised."""
     old, new = TileId(0, 0, 0), TileId(0, 3, 0)
     void = Guarantee(void_since_ns=100, sensor="gps", contradicted_ns=140)
-    address = free_address()
+    address = free_locator()
     with publishing(address) as publisher, RemoteMap(address) as remote:
         publisher.offer(MapUpdate((_whole_tile(old),), None, None, {}, Guarantee(), 1, (), 99))
         assert publisher.flush(WAIT_S)
@@ -395,7 +390,7 @@ def test_a_copy_tells_which_of_its_tiles_are_older_than_the_doubt(tmp_path: Path
 
 def test_another_robot_at_the_same_address_is_not_mixed_in() -> None:
     """One copy follows one robot; who is named is followed, whoever else speaks."""
-    mine, other, address = Drive(seed=1), Drive(seed=2), free_address()
+    mine, other, address = Drive(seed=1), Drive(seed=2), free_locator()
     with (
         publishing(address, robot="rover") as publisher,
         open_session("client", connect=[address]) as stranger,
@@ -416,7 +411,7 @@ def _note(epoch: str = "e") -> bytes:
 
 def test_malformed_messages_are_counted_and_change_nothing() -> None:
     """Garbage, a tile under another's key, another resolution, a missing note: refused; the good one still counts."""
-    address = free_address()
+    address = free_locator()
     good = snap_outward(Drive().step(0).tiles[0])
     coarse = Tile(0, good.ix, good.iy, 0.1, good.low, good.high)
     payload = encode(good, "map", 0)
@@ -449,7 +444,7 @@ def test_malformed_messages_are_counted_and_change_nothing() -> None:
 
 def test_tiles_of_two_runs_are_never_joined_not_even_for_a_moment() -> None:
     """The first tile of another epoch makes the copy begin anew, before any digest has come."""
-    address = free_address()
+    address = free_locator()
     first, second = Drive(seed=1).step(0).tiles, Drive(seed=2).step(0).tiles
     with open_session("peer", listen=[address]) as robot, RemoteMap(address) as remote:
         _token = robot.liveliness().declare_token(robot_key("rover"))
@@ -474,7 +469,7 @@ def _wait_for_subscriber(session: zenoh.Session, key: str) -> None:
 
 def test_a_flood_of_tiles_is_bounded() -> None:
     """Beyond its cap a copy keeps no more tiles, counts them, and doesn't claim to be in sync."""
-    course, address = Drive(), free_address()
+    course, address = Drive(), free_locator()
     with publishing(address) as publisher, RemoteMap(address, max_tiles=4) as remote:
         drive(publisher, course, range(40))
         assert publisher.flush(WAIT_S)
@@ -487,7 +482,7 @@ def test_a_flood_of_tiles_is_bounded() -> None:
 
 def test_a_copy_waits_for_a_robot_that_is_not_there_yet() -> None:
     """The subscriber may be started first; closing it without ever having met a robot is quick and clean."""
-    course, address = Drive(), free_address()
+    course, address = Drive(), free_locator()
     with RemoteMap(address) as never:
         assert not never.in_sync
         assert never.guarantee == "unknown"
@@ -523,6 +518,6 @@ def test_a_process_with_an_open_copy_ends_by_itself() -> None:
         "print('in sync', flush=True)\n"
     )
     done = subprocess.run(
-        [sys.executable, "-c", program, free_address()], capture_output=True, text=True, timeout=3 * WAIT_S
+        [sys.executable, "-c", program, free_locator()], capture_output=True, text=True, timeout=3 * WAIT_S
     )
     assert (done.returncode, done.stdout) == (0, "in sync\n"), done.stderr

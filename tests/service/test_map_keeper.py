@@ -19,6 +19,7 @@ from estimator.bounded_pose import INTACT, Anchor, Guarantee
 from mapper.store import Submap
 from mapper.store_check import open_store
 from mapper.tile import Tile, join, snap_outward
+from service import map_keeper
 from service.health import Health
 from service.map_keeper import STORE, STORED_MAP, EarlierSubmaps, MapKeeper, guarantee_of
 from service.messages import DigestEntry, read_anchor
@@ -33,6 +34,12 @@ def a_tile(ix: int, seed: int = 0, submap: int = 0) -> Tile:
     chance = np.random.default_rng([seed, ix + 100])
     low = chance.uniform(-1, 1, (64, 64)).astype(np.float32)
     return snap_outward(Tile(submap, ix, 0, 0.1, low, low + np.float32(0.25)))
+
+
+@pytest.fixture(autouse=True)
+def a_slow_disk_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a busy machine a store may take longer to open than a robot waits for it."""
+    monkeypatch.setattr(map_keeper, "OPENING_S", PATIENCE_S)
 
 
 @contextmanager

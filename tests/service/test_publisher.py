@@ -1,7 +1,6 @@
 """The publisher, seen from the wire: real sessions on loopback TCP."""
 
 import json
-import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -17,6 +16,7 @@ from drivers.errors import LinkError
 from estimator.bounded_pose import INTACT, Anchor, BoundedPose, Guarantee
 from mapper.tile import Tile, changed, content_crc, join, snap_outward, unseen_tile
 from mapper.tile_codec import decode
+from service.loopback import free_locator
 from service.messages import (
     DigestEntry,
     DigestPart,
@@ -34,12 +34,6 @@ from service.token_bucket import TokenBucket
 from service.topics import GRID, parse_tile_key, robot_key, tile_key
 
 WAIT_S = 20.0
-
-
-def free_address() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 def tile(ix: int = 0, iy: int = 0, seed: int = 0, share: float = 0.5, submap: int = 0) -> Tile:
@@ -62,7 +56,7 @@ def update(
 
 @contextmanager
 def publishing(address: str | None = None, digest_period_s: float = 0.1) -> Iterator[tuple[Publisher, str]]:
-    address = free_address() if address is None else address
+    address = free_locator() if address is None else address
     publisher = Publisher(
         PublishConfig(listen=[address], digest_period_s=digest_period_s), "rover", {"resolution_m": 0.05}
     )
@@ -357,7 +351,7 @@ def test_links_have_short_send_buffers() -> None:
 
 def test_a_narrow_link_slows_tiles_down_without_losing_what_changed() -> None:
     """With 200 kB/s allowed, tiles wait in the mailbox's coalescing map, and all arrive in the end."""
-    address = free_address()
+    address = free_locator()
     publisher = Publisher(PublishConfig(listen=[address], max_bytes_per_s=200_000, digest_period_s=0.1), "rover")
     publisher.start()
     tiles = [tile(ix, 0, seed=ix, share=1.0) for ix in range(20)]

@@ -1,6 +1,5 @@
 """The whole service with less memory than its map needs: copy, store and saved file are the map of the whole drive."""
 
-import socket
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -17,6 +16,7 @@ from mapper.tile import Tile, snap_outward
 from service.client import RemoteMap
 from service.config import LoadedConfig
 from service.config import load as load_config
+from service.loopback import free_locator
 from service.messages import TileId
 from service.onboard import Onboard
 from service.pipeline import Pipeline
@@ -54,13 +54,10 @@ def drive() -> Iterator[list[Arrival]]:
 def small(tmp_path: Path) -> LoadedConfig:
     """The demo's robot with room for 64 tiles in memory, and a store."""
     demo = load_config(shipped_config("demo.toml"))
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        address = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
     config = replace(
         demo.config,
         map=replace(demo.config.map, max_tiles=64, resolution_m=0.03),
-        publish=replace(demo.config.publish, listen=(address,), digest_period_s=0.2),
+        publish=replace(demo.config.publish, listen=(free_locator(),), digest_period_s=0.2),
         store=replace(demo.config.store, path=str(tmp_path / "map.db"), interval_s=0.1),
     )
     return replace(demo, config=config)

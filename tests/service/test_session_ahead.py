@@ -9,6 +9,7 @@ import zenoh
 from zenoh.handlers import FifoChannel
 
 from drivers.errors import LinkError
+from service.loopback import free_locator
 from service.publish_config import PublishConfig
 from service.publisher import Publisher
 from service.session import open_session
@@ -16,21 +17,16 @@ from service.session_ahead import SessionAhead
 from service.topics import robot_key
 
 UNUSED = """
+from service.loopback import free_locator
 from service.publish_config import PublishConfig
 from service.session_ahead import SessionAhead
 SessionAhead(PublishConfig(listen=["tcp/127.0.0.1:0"]))
 """
 
 
-def _free_address() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-
-
 def test_who_connects_before_the_publisher_is_there_hears_it_come() -> None:
     """A subscriber's session opens at once, and stays: the publisher speaks in the session that was opened ahead."""
-    address = _free_address()
+    address = free_locator()
     ahead = SessionAhead(PublishConfig(listen=[address]))
     ahead.wait()
     with open_session("client", connect=[address]) as session:

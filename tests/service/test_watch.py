@@ -1,6 +1,5 @@
 """`terrabound watch`, against a publisher on loopback TCP."""
 
-import socket
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +9,7 @@ from estimator.bounded_pose import INTACT, Anchor, BoundedPose
 from mapper.saved_map import load
 from mapper.tile import Tile
 from service.cli import run_command
+from service.loopback import free_locator
 from service.publish_config import PublishConfig
 from service.publisher import MapUpdate, Publisher
 
@@ -24,9 +24,7 @@ def a_tile(submap: int, height_m: float) -> Tile:
 
 def test_watch_saves_the_submap_that_was_asked_for(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """By default the newest, by number any that is published; another number is told from those there are."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        address = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    address = free_locator()
     publisher = Publisher(PublishConfig(listen=[address], digest_period_s=0.1), "rover", {"resolution_m": 0.05})
     publisher.start()
     try:

@@ -23,6 +23,7 @@ from mapper.store_check import open_store
 from mapper.tile import join
 from service.client import RemoteMap
 from service.commands.replay import replay
+from service.loopback import free_locator
 from service.shipped import shipped_config
 
 PATIENCE_S = 90.0
@@ -169,9 +170,7 @@ def test_kill_9_loses_nothing_that_was_saved_and_mapping_resumes(
     folder: Path, robot: subprocess.Popen[bytes], tmp_path: Path
 ) -> None:
     """What health had acknowledged is there after SIGKILL, as an earlier submap with its anchor; a new one begins."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        address = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    address = free_locator()
     text = (folder / "robot.toml").read_text().replace("tcp/127.0.0.1:0", address)
     config = folder / "stored.toml"
     config.write_text(f'{text}path = "{tmp_path / "map.db"}"\n')
