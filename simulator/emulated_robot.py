@@ -61,6 +61,8 @@ class Progress:
     """Sent by the laser."""
     late_bytes: int = 0
     """Lost because this process could not send them in time."""
+    overdue_bytes: int = 0
+    """Sent too late all the same: this process was interrupted just then. They may break the declared latencies."""
 
 
 def print_progress(progress: Progress) -> None:
@@ -77,6 +79,8 @@ class Wire:
         """Bytes that this process can't send within so much of their time are lost; None: nothing is ever late."""
         self.late_bytes = 0
         """So lost."""
+        self.overdue_bytes = 0
+        """Not in time when they were written, though they were just before."""
         self._prepared: list[tuple[int, bytes, int | None]] = []
         """(time before which nothing of it was due, the bytes, their rate)."""
         self._prepared_ns: int | None = None
@@ -111,12 +115,18 @@ class Wire:
     def send(self) -> None:
         """Write what is ready."""
         for due_ns, data, rate in self._prepared:
-            if self.patience_ns is not None and SystemClock().now_ns() - due_ns > self.patience_ns:
+            if self._is_late(due_ns):
                 self.late_bytes += len(data)
                 continue
             self._written += len(data)
             self.port.write(self._on_the_line(data, rate))
+            if self._is_late(due_ns):
+                self.overdue_bytes += len(data)
         self._prepared.clear()
+
+    def _is_late(self, due_ns: int) -> bool:
+        """Is it too late now to send what was due then?"""
+        return self.patience_ns is not None and SystemClock().now_ns() - due_ns > self.patience_ns
 
     def write_off(self, acknowledged: int) -> None:
         """What the host left unread when it closed the port is lost."""
@@ -313,9 +323,9 @@ class _Run:
     def _report(self, state: Literal["waiting", "starting", "driving", "done"]) -> None:
         driven_ns = 0 if self._drive_start_ns is None else self._now_ns - self._drive_start_ns
         duration_s = self._world.drive.duration_ns * 1e-9
-        late_bytes = sum(wire.late_bytes for wire in self._wires)
+        late, overdue = (sum(getattr(wire, kind) for wire in self._wires) for kind in ("late_bytes", "overdue_bytes"))
         self._on_progress(
-            Progress(state, self._now_ns, driven_ns * 1e-9, duration_s, self._devices.laser.scans_sent, late_bytes)
+            Progress(state, self._now_ns, driven_ns * 1e-9, duration_s, self._devices.laser.scans_sent, late, overdue)
         )
 
 

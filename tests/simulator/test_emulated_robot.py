@@ -1,6 +1,7 @@
 """The whole robot, mouth to mouth with the drivers over real pseudo-terminals, in lockstep."""
 
 import threading
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -242,3 +243,29 @@ def test_a_host_at_another_rate_gets_garbage(tmp_path: Path) -> None:
     assert telegrams[0].startswith(b"\x02\x80")
     assert len(telegrams[1]) == len(telegrams[0])
     assert b"\x02" not in telegrams[1]
+
+
+class SlowPort(PseudoPort):
+    """A port at which this process is interrupted between its look at the clock and its write."""
+
+    def write(self, data: bytes = b"") -> None:
+        if data:
+            time.sleep(0.05)  # the time that passes is what is tested
+        super().write(data)
+
+
+def test_bytes_that_an_interruption_made_late_are_told(tmp_path: Path) -> None:
+    """Whoever finds a clock contradicted on a busy machine sees whether the emulated robot kept its own word."""
+    for kind, overdue in ((PseudoPort, False), (SlowPort, True)):
+        port = kind(tmp_path / kind.__name__)
+        host = open_serial(port.path, 9600)
+        wire = Wire("laser", SickLmsEmulator(lambda times, _: np.full(times.size, 3.0)), port)
+        wire.patience_ns = 50_000_000 if overdue else 60_000_000_000
+        now_ns = SystemClock().now_ns()
+        wire.prepare(now_ns)
+        while not wire.due:
+            now_ns = SystemClock().now_ns()
+            wire.exchange(now_ns)
+        assert (wire.overdue_bytes > 0) is overdue
+        host.close()
+        port.close()
