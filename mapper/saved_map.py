@@ -128,14 +128,23 @@ def load(path: Path) -> SavedMap:
 
 
 def write_whole(path: Path, write: Callable[[IO[bytes]], None]) -> None:
-    """Let `write` fill a temporary file beside `path`, bring it to the disk, and rename it: all or nothing."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    """Let `write` fill a temporary file beside `path`, bring it to the disk, and rename it: all or nothing.
+
+    A link stays and its target is written; a device or pipe (`/dev/stdout`) is written to, never put away. Raises
+    MapFileError.
+    """
+    target = path.resolve()
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            with path.open("wb") as file:
+                write(file)
+            return
         with temporary.open("wb") as file:
             write(file)
             file.flush()
             os.fsync(file.fileno())
-        temporary.replace(path)
+        temporary.replace(target)
     except OSError as error:
         raise MapFileError(f"{path}: can't be written: {error.strerror or error}") from error
     finally:

@@ -18,6 +18,7 @@ from drivers.samples import Sample
 from estimator.bound_usage.ledger import Usage, Verdict
 from estimator.bound_usage.usage import bound_usage
 from service.commands.replay import configuration_of, with_progress
+from service.output_files import refuse_unwritable
 from service.replay import arrivals, recorded_devices
 
 STYLES = {Verdict.CONTRADICTED: "bold red", Verdict.SUSPECT: "red", Verdict.WIDE: "yellow", Verdict.LOOKS_WIDE: "dim"}
@@ -25,6 +26,7 @@ STYLES = {Verdict.CONTRADICTED: "bold red", Verdict.SUSPECT: "red", Verdict.WIDE
 
 def check_bounds(capture: Path, config: Path | None = None, report: Path | None = None) -> int:
     """Print the table, write the report; 1 if a bound is contradicted, else 0."""
+    refuse_unwritable((report,), inputs=(capture, config))
     recording = read_capture(capture)
     loaded = configuration_of(recording, capture, config)
     devices = recorded_devices(loaded, recording)

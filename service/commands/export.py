@@ -8,7 +8,7 @@ from cyclopts import Parameter, validators
 
 from mapper.export import LayerName, export_map
 from mapper.place import place_of
-from mapper.saved_map import load
+from mapper.saved_map import MapFileError, load
 from mapper.stored_map import is_store, load_stored
 from mapper.traversability import RobotLimits
 
@@ -59,6 +59,8 @@ def export(
         if not findings.clean:
             print(f"{map}: damaged: {findings}", file=sys.stderr)
     else:
+        if submap is not None:
+            raise MapFileError(f"{map}: is one map, --submap is for a store (store.path); leave it out")
         saved = load(map)
     export_map(saved, output, layer, RobotLimits(max_step_m, max_slope_deg, max_roughness_m, length_m))
     if output.suffix.lower() == ".tif" and place_of(saved) is None:

@@ -15,6 +15,7 @@ from service.commands.port_replay import replay_through_ports
 from service.config import LoadedConfig, load, parse
 from service.map_file import save_map
 from service.messages import write_pose
+from service.output_files import refuse_unwritable
 from service.pipeline import Pipeline
 from service.replay import recorded_devices
 from service.replay import replay as replay_directly
@@ -44,6 +45,7 @@ def replay(
     ports
         Through pseudo-terminals and the whole service instead of directly.
     """
+    refuse_unwritable((map, poses), inputs=(capture, config))
     recording = read_capture(capture)
     loaded = configuration_of(recording, capture, config)
     with ExitStack() as stack:

@@ -9,6 +9,7 @@ from rich.table import Table
 
 from service.client import RemoteMap
 from service.lifecycle import stop_on_signals
+from service.output_files import refuse_unwritable
 
 FINAL_SYNC_S = 5.0
 """After the end is asked for, how long to wait until the copy equals the robot's map."""
@@ -40,6 +41,7 @@ def watch(
     report
         Write what was received, and its latencies, to this JSON file at the end.
     """
+    refuse_unwritable((map, report))
     console = Console(stderr=True)
     with stop_on_signals() as ended, RemoteMap(connect, robot=robot) as remote:
         if once:
@@ -51,16 +53,20 @@ def watch(
             synced = remote.wait_in_sync(FINAL_SYNC_S)
         held = sorted({place.submap for place in remote.tiles})
         missing = submap is not None and submap not in held
-        if map is not None and not missing:
+        if map is not None and not missing and (synced or held):  # an empty copy of nothing spoils no earlier one
             remote.save(map, submap)
         if report is not None:
             report.write_text(json.dumps({"in_sync": synced, "latency_ms": remote.latencies_ms(), **remote.stats()}))
         console.print(_table(remote))
     if not synced:
+        why = (
+            "its newest changes had not all arrived: give it a moment more, or see whether the link carries them"
+            if held
+            else "is a robot reachable there?"
+        )
+        kept = f"; {map} is left as it was" if map is not None and not held else ""
         console.print(
-            f"terrabound: {connect}: the copy is not known to be complete; is a robot reachable there?",
-            style="red",
-            soft_wrap=True,
+            f"terrabound: {connect}: the copy is not known to be complete; {why}{kept}", style="red", soft_wrap=True
         )
     if missing:
         console.print(

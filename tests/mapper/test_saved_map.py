@@ -1,5 +1,6 @@
 """A map on disk: whole or not at all, the same bytes for the same map, readable by others."""
 
+import os
 import struct
 import subprocess
 import sys
@@ -190,3 +191,30 @@ except MapFileError as error:
 """
     done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True)
     assert "terrabound[plots]" in done.stdout
+
+
+def test_a_device_or_a_pipe_is_written_to_and_never_put_away(tmp_path: Path) -> None:
+    """`/dev/full` tells, a pipe's reader gets the map: no file takes their place."""
+    # Links, so that a mistake here puts a link away and not the machine's device.
+    (tmp_path / "full").symlink_to("/dev/full")
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reader = subprocess.Popen(["cat", str(pipe)], stdout=subprocess.PIPE)
+    save(a_map(), pipe)
+    told, _ = reader.communicate()
+    assert pipe.is_fifo()
+    (tmp_path / "map.npz").write_bytes(told)
+    assert np.array_equal(load(tmp_path / "map.npz").low, a_map().low, equal_nan=True)
+    with pytest.raises(MapFileError, match="No space left"):
+        save(a_map(), tmp_path / "full")
+    assert (tmp_path / "full").is_char_device()
+
+
+def test_a_link_stays_a_link(tmp_path: Path) -> None:
+    """Where the map's name points elsewhere, to another disk say, the map goes there."""
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "map.npz").symlink_to("disk/map.npz")
+    save(a_map(), tmp_path / "map.npz")
+    assert (tmp_path / "map.npz").is_symlink()
+    assert [path.name for path in (tmp_path / "disk").iterdir()] == ["map.npz"]
+    assert np.array_equal(load(tmp_path / "map.npz").low, a_map().low, equal_nan=True)

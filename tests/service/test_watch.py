@@ -42,3 +42,19 @@ def test_watch_saves_the_submap_that_was_asked_for(tmp_path: Path, capfd: pytest
         )
     finally:
         publisher.close()
+
+
+def test_a_robot_that_is_not_there_spoils_no_earlier_copy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """What was saved last time stays when nothing at all comes; so does a name that is free."""
+    monkeypatch.setattr("service.commands.watch.FINAL_SYNC_S", 0.3)
+    copy, free = tmp_path / "copy.npz", tmp_path / "free.npz"
+    copy.write_bytes(b"yesterday's map")
+    for path in (copy, free):
+        assert run_command(["watch", "--connect", "tcp/127.0.0.1:1", "--map", str(path), "--once"]) == 1
+        said = capfd.readouterr().err.replace("\n", " ")
+        assert "is a robot reachable there?" in said
+        assert f"{path} is left as it was" in said
+    assert copy.read_bytes() == b"yesterday's map"
+    assert not free.exists()

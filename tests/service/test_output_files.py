@@ -1,0 +1,67 @@
+"""What a command is to write is looked at first: nothing that it reads is overwritten, no work done in vain."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from drivers.capture import CaptureWriter
+from service.cli import run_command
+from service.output_files import OutputError, refuse_unwritable
+from service.shipped import shipped_config
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Path:
+    """A recording, short and whole."""
+    path = tmp_path / "drive.mcap"
+    texts = (shipped_config(name).read_text(encoding="utf-8") for name in ("demo.toml", "tracks.dbc"))
+    capture = CaptureWriter(path, *texts)
+    capture.write("gps", b"$GPGGA", 1_000_000, 2_000_000)
+    capture.close()
+    return path
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    ["replay drive.mcap --poses drive.mcap", "replay drive.mcap --map drive.mcap", "replay drive.mcap --map link.npz",
+     "replay drive.mcap --config robot.toml --map robot.toml", "check --bounds drive.mcap --report drive.mcap"],
+)  # fmt: skip
+def test_no_command_overwrites_what_it_reads(
+    arguments: str, drive: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A recording named as the output, by its own name or through a link, stays as it was."""
+    monkeypatch.chdir(drive.parent)
+    drive.with_name("link.npz").symlink_to("drive.mcap")
+    for name, copy in (("demo.toml", "robot.toml"), ("tracks.dbc", "tracks.dbc")):
+        shutil.copy(shipped_config(name), drive.with_name(copy))
+    before = [path.read_bytes() for path in (drive, drive.with_name("robot.toml"))]
+    assert run_command(arguments.split()) == 1
+    assert "is read by this command and would be overwritten" in capfd.readouterr().err
+    assert [path.read_bytes() for path in (drive, drive.with_name("robot.toml"))] == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ("replay none.mcap --map none/map.npz", "there is no folder"),
+        ("check --bounds none.mcap --report none/report.json", "there is no folder"),
+        ("watch --connect tcp/127.0.0.1:1 --map none/map.npz", "there is no folder"),
+        ("watch --connect tcp/127.0.0.1:1 --report .", "is a folder"),
+    ],
+)
+def test_an_output_that_cannot_be_written_is_told_before_the_work(
+    arguments: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Before the recording is even opened, or the robot looked for: an hour of watching is not thrown away."""
+    monkeypatch.chdir(tmp_path)
+    assert run_command(arguments.split()) == 1
+    assert told in capfd.readouterr().err
+
+
+def test_devices_and_new_names_are_no_obstacle(tmp_path: Path) -> None:
+    """A pipe, a name that is new, a file to be replaced; and nothing asked for."""
+    (tmp_path / "old.npz").write_bytes(b"old")
+    refuse_unwritable([Path("/dev/stdout"), Path("/dev/null"), tmp_path / "new.npz", tmp_path / "old.npz", None])
+    with pytest.raises(OutputError, match=r"old\.npz: is read by this command"):
+        refuse_unwritable([tmp_path / "old.npz"], inputs=[None, tmp_path / "missing", tmp_path / "old.npz"])
