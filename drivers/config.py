@@ -16,11 +16,19 @@ whole configuration's, and its own is for those who make that section alone."""
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
+Angle = Annotated[float, Field(ge=-360, le=360)]
+"""Degrees."""
 
 
 def _resolution(value: float) -> float:
     if value not in (0.25, 0.5, 1.0):
         raise ValueError("the scanner knows 0.25, 0.5 and 1.0 degrees")
+    return value
+
+
+def _not_zero(value: float) -> float:
+    if value == 0:
+        raise ValueError("should not be 0: every tick is some way")
     return value
 
 
@@ -30,6 +38,7 @@ def _rising(value: tuple[float, float]) -> tuple[float, float]:
     return value
 
 
+MetresPerTick = Annotated[float, AfterValidator(_not_zero)]
 Resolution = Annotated[float, AfterValidator(_resolution)]
 TemperatureRange = Annotated[tuple[float, float], AfterValidator(_rising)]
 """[least, most]"""
@@ -80,10 +89,10 @@ class LaserConfig:
     mount_x_m: float
     mount_y_m: float
     mount_z_m: float
-    mount_roll_deg: float = 0.0
-    mount_pitch_deg: float
+    mount_roll_deg: Angle = 0.0
+    mount_pitch_deg: Angle
     """The paper's sign: negative looks down."""
-    mount_yaw_deg: float = 0.0
+    mount_yaw_deg: Angle = 0.0
     mount_position_bound_m: NotNegative
     mount_angle_bound_deg: NotNegative
     """Calibration error of each mounting angle."""
@@ -92,6 +101,15 @@ class LaserConfig:
     def _variant_exists(self) -> Self:
         if self.scan_angle_deg == 90 and self.resolution_deg != 0.5:
             raise ValueError("resolution_deg: at 90 degrees (LMS Fast) the scanner knows 0.5 degree alone")
+        return self
+
+    @model_validator(mode="after")
+    def _some_ranges_are_used(self) -> Self:
+        if self.range_min_m >= self.range_max_m:
+            raise ValueError(
+                f"range_min_m = {self.range_min_m:g} should be less than range_max_m = {self.range_max_m:g}: no beam "
+                "is used otherwise"
+            )
         return self
 
 
@@ -108,9 +126,9 @@ class EncodersConfig:
     left: str
     """MESSAGE.SIGNAL of the left track's counter."""
     right: str
-    left_metres_per_tick: float
+    left_metres_per_tick: MetresPerTick
     """Negative where the counter falls when the robot drives forward."""
-    right_metres_per_tick: float
+    right_metres_per_tick: MetresPerTick
     quantisation_ticks: NotNegative = 1.0
     """How far a difference of two counts can be off the true number of (fractional) ticks. Where left and right come in
     two messages: plus what a track can count between the two."""

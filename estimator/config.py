@@ -46,7 +46,7 @@ class FilterConfig:
 
     set: SetName = "box"
     """What x, y and yaw are kept as: boxes and a window of fixes, the tighter one; or the paper's ellipsoid."""
-    reordering_window_ms: Positive = 100.0
+    reordering_window_ms: Annotated[float, Field(gt=0, le=60_000)] = 100.0
     """Samples are taken in the order of their stamps inside this window; later ones are dropped and counted."""
     standstill_s: Positive | None = None
     """Tracks without a tick for this long before and after: the owner vouches that the robot stands. None: never."""
@@ -68,4 +68,13 @@ class FilterConfig:
     def _standing_is_declared_whole(self) -> Self:
         if (self.standstill_s is None) != (self.standstill_rate_dps is None):
             raise ValueError("standstill_s and standstill_rate_dps: declare both, or neither")
+        return self
+
+    @model_validator(mode="after")
+    def _fixes_remain(self) -> Self:
+        if self.wrong_fixes and self.wrong_fixes_of < (least := 4 * self.wrong_fixes + 4):
+            raise ValueError(
+                f"wrong_fixes = {self.wrong_fixes} needs wrong_fixes_of >= {least} (it is {self.wrong_fixes_of}): too "
+                "few fixes would be left to say anything"
+            )
         return self

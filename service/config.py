@@ -7,9 +7,9 @@ import tomllib
 from dataclasses import dataclass as plain_dataclass
 from dataclasses import field, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_type_hints
+from typing import Annotated, Any, Self, get_args, get_type_hints
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError, model_validator
 from pydantic.dataclasses import dataclass
 
 from drivers.config import STRICT, DevicesConfig, Positive
@@ -58,6 +58,20 @@ class Config:
     record: RecordConfig = field(default_factory=RecordConfig)
     store: StoreConfig = field(default_factory=StoreConfig)
 
+    @model_validator(mode="after")
+    def _each_device_has_its_port(self) -> Self:
+        taken: dict[str, str] = {}
+        for entry in fields(self.devices):
+            device = getattr(self.devices, entry.name)
+            if device is None:
+                continue
+            key = f"devices.{entry.name}.port"
+            if not device.port:
+                raise ValueError(f"{key}: is empty; name the port that the device is on")
+            if (other := taken.setdefault(device.port, key)) != key:
+                raise ValueError(f"{other} and {key}: both are {device.port!r}; two devices can't share a port")
+        return self
+
 
 @plain_dataclass(frozen=True, slots=True)
 class LoadedConfig:
@@ -91,7 +105,7 @@ class LoadedConfig:
 def load(path: Path) -> LoadedConfig:
     """Read and check a configuration file. Raises ConfigurationError that names the file and every wrong key."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")  # Notepad begins files with a mark
     except FileNotFoundError:
         raise ConfigurationError(f"{path}: no such file; docs/config/ holds examples to start from") from None
     except (OSError, UnicodeDecodeError) as error:
@@ -116,6 +130,10 @@ def parse(text: str, folder: Path, source: str, dbc: str | None = None) -> Loade
     return LoadedConfig(config, text, folder, source, dbc)
 
 
+_SHOWN = 80
+"""Characters of a wrong value that are repeated."""
+
+
 def _explain(entry: Any) -> str:
     """One mistake as one line: path, what was found, what to do."""
     path = ".".join(str(part) for part in entry["loc"])
@@ -131,8 +149,9 @@ def _explain(entry: Any) -> str:
         return f"{path}: missing; it has no default, only the owner can know it"
     message = re.sub(r"^(Value error, |Input )", "", entry["msg"])
     if isinstance(found, dict):  # about several keys at once: it names them
-        return f"{path}: {message}"
-    return f"{path}: {found!r} {message}"
+        return f"{path}: {message}" if path else message
+    shown = repr(found)
+    return f"{path}: {shown if len(shown) <= _SHOWN else shown[:_SHOWN] + '...'} {message}"
 
 
 def _keys_at(path: list[str | int]) -> list[str]:

@@ -54,6 +54,20 @@ def test_all_mistakes_come_at_once() -> None:
         ('set = "box"', 'set = "zonotope"', "filter.set"),
         ("[map]", "[map]\nmax_tile = 3", "map.max_tile"),
         ('interface = "slcan"', 'interface = "serial"', "devices.encoders.interface"),
+        ("range_min_m = 0.3", "range_min_m = 8.5", "range_min_m = 8.5 should be less than range_max_m = 8"),
+        (
+            'port = "ports/imu"',
+            'port = "ports/laser"',
+            "devices.laser.port and devices.imu.port: both are",
+        ),
+        ('port = "ports/imu"', 'port = ""', "devices.imu.port"),
+        ("left_metres_per_tick = 0.0002", "left_metres_per_tick = 0.0", "devices.encoders.left_metres_per_tick"),
+        ("mount_pitch_deg = -10.0", "mount_pitch_deg = 1000.0", "devices.laser.mount_pitch_deg"),
+        ("tcp/127.0.0.1:7447", "http://127.0.0.1:7447", "publish.listen.0"),
+        ("tcp/127.0.0.1:7447", "tcp/127.0.0.1:74470", "publish.listen.0"),
+        ("tcp/127.0.0.1:7447", "tcp/127.0.0.1", "publish.listen.0"),
+        ("reordering_window_ms = 100.0", "reordering_window_ms = 1e9", "filter.reordering_window_ms"),
+        ("[filter]", "[filter]\nwrong_fixes = 6", "wrong_fixes = 6 needs wrong_fixes_of >= 28"),
     ],
 )
 def test_a_wrong_value_is_refused_and_named(line: str, wrong: str, path: str) -> None:
@@ -88,3 +102,21 @@ def test_keys_that_contradict_each_other_are_named() -> None:
 
     assert "devices.laser: resolution_deg: at 90 degrees" in text
     assert "range_bound_m" not in text
+
+
+def test_every_kind_of_address_is_taken() -> None:
+    """Names, IPv6, other links and their settings: what Zenoh opens is not refused here."""
+    for address in ("tcp/robot:7447", "tcp/[::]:0", "tls/robot:443#so_sndbuf=65536", "unixsock-stream//run/t.sock"):
+        loaded = parse(DEMO.replace("tcp/127.0.0.1:7447", address), Path(), "robot.toml")
+        assert loaded.config.publish.listen == [address]
+
+
+def test_a_file_from_notepad_is_read(tmp_path: Path) -> None:
+    """A byte order mark and the other line ends are no mistake."""
+    (tmp_path / "robot.toml").write_text(DEMO.replace("\n", "\r\n"), encoding="utf-8-sig", newline="")
+    assert load(tmp_path / "robot.toml").config == parse(DEMO, Path(), "robot.toml").config
+
+
+def test_a_long_wrong_value_is_not_repeated_whole() -> None:
+    """[[devices.gps]] for [devices.gps]: the line stays a line."""
+    assert max(map(len, complaint(DEMO.replace("[devices.gps]", "[[devices.gps]]")).splitlines())) < 140
