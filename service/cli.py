@@ -6,10 +6,12 @@ Exit codes: 0 done, 1 failed, 2 bad usage, 78 bad configuration (systemd's EX_CO
 import gc
 import os
 import sys
-
-from cyclopts import App, CycloptsError
+from typing import TYPE_CHECKING
 
 from drivers.errors import ConfigurationError, TerraboundError
+
+if TYPE_CHECKING:
+    from cyclopts import App
 
 EXIT_FAILED, EXIT_USAGE, EXIT_CONFIG, EXIT_INTERRUPTED = 1, 2, 78, 130
 
@@ -29,11 +31,13 @@ COMMANDS = {
 """Where each command stands under service/commands/, and its line on the page of all commands."""
 
 
-def _app(arguments: list[str]) -> App:
+def _app(arguments: list[str]) -> "App":
     """The command line. Commands are imported when called, so that `--help` is quick and `decode` needs no network.
 
     So the page of all commands needs their lines beforehand; a command's own page has its docstring.
     """
+    from cyclopts import App
+
     app = App(
         name="terrabound",
         help="Terrain maps with guaranteed bounds, live on a tracked robot.",
@@ -65,9 +69,7 @@ def main() -> None:
 def run_command(arguments: list[str]) -> int:
     """Run one command; returns the exit code."""
     try:
-        result = _app(arguments)(arguments, exit_on_error=False, print_error=True, result_action="return_value")
-    except CycloptsError:
-        return EXIT_USAGE
+        return _run_command(arguments)
     except ConfigurationError as error:
         print(f"terrabound: {error}", file=sys.stderr)
         return EXIT_CONFIG
@@ -86,6 +88,16 @@ def run_command(arguments: list[str]) -> int:
         print(f"terrabound: {error}", file=sys.stderr)
         _forget_output()
         return EXIT_FAILED
+
+
+def _run_command(arguments: list[str]) -> int:
+    """The same; what it raises is for a person, not for Python."""
+    from cyclopts import CycloptsError  # half of the start: Ctrl-C while it loads is Ctrl-C as ever
+
+    try:
+        result = _app(arguments)(arguments, exit_on_error=False, print_error=True, result_action="return_value")
+    except CycloptsError:
+        return EXIT_USAGE
     return result if isinstance(result, int) else 0
 
 

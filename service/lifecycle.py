@@ -92,6 +92,19 @@ def _watchdog_ns(environment: Mapping[str, str], pid: int) -> int | None:
 
 
 @contextmanager
+def terminated_like_interrupted() -> Iterator[None]:
+    """SIGTERM does what Ctrl-C does (KeyboardInterrupt): child processes and temporary folders are cleared away.
+
+    For commands that have no orderly end but their own. Main thread only.
+    """
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@contextmanager
 def stop_on_signals(
     event: threading.Event | None = None, tell: Callable[[str], None] | None = None
 ) -> Iterator[threading.Event]:

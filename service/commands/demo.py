@@ -28,6 +28,7 @@ from service.commands.emulate import Law, Speed
 from service.commands.emulated import EmulatedRobot
 from service.commands.evaluation import draw_evaluation, evaluate, results_table
 from service.config import LoadedConfig, load
+from service.lifecycle import terminated_like_interrupted
 from service.loopback import free_locator
 from service.messages import write_pose
 from service.onboard import Onboard
@@ -76,6 +77,7 @@ def demo(
     output.mkdir(parents=True, exist_ok=True)
     (output / "drive.mcap").unlink(missing_ok=True)
     with ExitStack() as stack:
+        stack.enter_context(terminated_like_interrupted())
         ports = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="terrabound-")))
         loaded = demo_configuration(ports, pose_set)
         robot = stack.enter_context(

@@ -5,6 +5,7 @@ import threading
 import time
 import zipfile
 from collections.abc import Callable
+from math import inf
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
@@ -24,7 +25,15 @@ from simulator.world import World
 
 Scene: TypeAlias = Literal["stairs", "rough", "ramp", "flat", "dem"]
 Law: TypeAlias = Literal["uniform", "corners", "constant", "drift", "switching"]
-Speed: TypeAlias = Annotated[float, Parameter(validator=validators.Number(gt=0))] | Literal["max"]
+
+
+def _is_speed(_: object, speed: float | str) -> None:
+    """For cyclopts: raises ValueError where time would stand still or run back."""
+    if not isinstance(speed, str) and not 0.0 < speed < inf:
+        raise ValueError("Must be > 0, or max.")
+
+
+Speed: TypeAlias = Annotated[float | Literal["max"], Parameter(validator=_is_speed)]
 Duration: TypeAlias = Annotated[float, Parameter(validator=validators.Number(gte=5, lte=3600))]
 
 LOCKSTEP_START_NS = 1_000_000_000_000

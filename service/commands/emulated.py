@@ -61,10 +61,14 @@ class EmulatedRobot:
         """Wait until its ports are there."""
         deadline = time.monotonic() + START_TIMEOUT_S
         assert self._process.stdout is not None
-        line = self._process.stdout.readline()  # "waiting": ports and clock stand
-        if not line or time.monotonic() > deadline:
-            self._process.kill()
-            raise self._failed()
+        try:
+            line = self._process.stdout.readline()  # "waiting": ports and clock stand
+            if not line or time.monotonic() > deadline:
+                self._process.kill()
+                raise self._failed()
+        except BaseException:  # Ctrl-C too: nobody calls __exit__ then
+            self.__exit__()
+            raise
         return self
 
     def __exit__(self, *_: object) -> None:

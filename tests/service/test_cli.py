@@ -64,7 +64,8 @@ def test_every_command_explains_itself(name: str, capfd: pytest.CaptureFixture[s
 @pytest.mark.parametrize(
     "arguments",
     ["frobnicate", "check", "check --frob", "decode", "decode sonar x", "decode gps", "listen gps x --seconds 0",
-     "emulate robot --duration 1", "decode encoders x --dbc y", "decode lms x --measuring-mode 9"],
+     "emulate robot --duration 1", "emulate robot --speed 0",
+     "demo --speed nan", "demo --speed -1", "decode encoders x --dbc y", "decode lms x --measuring-mode 9"],
 )  # fmt: skip
 def test_wrong_usage_is_2(arguments: str, folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """Unknown commands and options, missing and impossible values; a group without a command shows its page."""
@@ -112,6 +113,7 @@ def test_a_wrong_configuration_is_78_and_names_the_place(
         ("listen lms robot.toml", 1, "robot.toml: can't be used as a serial port"),
         ("export none.npz x.ply", 1, "none.npz: no such file"),
         ("export robot.toml x.ply", 1, "robot.toml: no terrain map"),
+        ("export robot.toml x.ply --submap 2", 1, "--submap is for a store"),
         ("replay none.mcap", 1, "none.mcap"),
         ("replay robot.toml", 1, "robot.toml: not an MCAP recording"),
         ("emulate robot --scene dem", 78, "--terrain"),
@@ -174,3 +176,15 @@ def test_a_full_disk_is_one_line(recordings: Path, tmp_path: Path) -> None:
     assert "No space left" in done.stderr
     assert "Traceback" not in done.stderr
     assert "Exception" not in done.stderr
+
+
+def test_ctrl_c_while_the_command_loads_is_one_line(tmp_path: Path) -> None:
+    """The moment when the command line itself is still being loaded is no exception: 130, and no traceback."""
+    library = tmp_path / "cyclopts.py"  # stands before the real one: Ctrl-C comes just as it is loaded
+    library.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGINT)\nwhile True: pass\n")
+    command = [sys.executable, "-c", "from service.cli import main; main()", "--help"]
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (done.returncode, done.stderr) == (130, "terrabound: interrupted\n")
