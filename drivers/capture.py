@@ -85,6 +85,8 @@ class CaptureWriter:
         self._sequences: dict[str, int] = {}
         self._flushed_ns: int | None = None
         self._closed = False
+        self._ended = f"{self.path}: this recording has ended; begin another file"
+        """What is said of bytes that come after the end: of all threads that write, each is told why it came."""
         try:
             self._file: IO[bytes] = self.path.open("xb")
         except FileExistsError as error:
@@ -117,7 +119,7 @@ class CaptureWriter:
     def _write(self, topic: str, encoding: str, data: bytes, monotonic_ns: int, wall_ns: int) -> None:
         with self._lock:
             if self._closed:
-                raise CaptureError(f"{self.path}: this recording has ended; begin another file")
+                raise CaptureError(self._ended)
             channel = self._channels.get(topic)
             if channel is None:
                 channel = self._channels[topic] = self._writer.register_channel(topic, encoding, schema_id=0)
@@ -154,9 +156,8 @@ class CaptureWriter:
         self._closed = True
         with contextlib.suppress(OSError):  # the same trouble again
             self._file.close()
-        return CaptureError(
-            f"{self.path}: recording stopped ({error.strerror}); what came before it replays. Make room"
-        )
+        self._ended = f"{self.path}: recording stopped ({error.strerror}); what came before it replays. Make room"
+        return CaptureError(self._ended)
 
 
 class Capture:

@@ -24,6 +24,14 @@ from service.passive import (
 )
 
 CHUNK_BYTES = 1 << 16
+OTHER_FILES = {
+    b"\x89MCAP": "it is a capture: terrabound replay",
+    b"\x1f\x8b": "they are compressed: gzip -dc FILE | terrabound decode ... -",
+    b"BZh": "they are compressed: bzip2 -dc FILE | terrabound decode ... -",
+    b"\x28\xb5\x2f\xfd": "they are compressed: zstd -dc FILE | terrabound decode ... -",
+    b"\xff\xfe": "they are text in UTF-16: give the bytes as the port gave them",
+}
+"""What files that people take for raw bytes begin with."""
 
 File: TypeAlias = Annotated[Path, Parameter(allow_leading_hyphen=True)]
 MeasuringMode: TypeAlias = Literal[0, 1, 2, 3, 4, 5, 6, 15]
@@ -124,10 +132,12 @@ def gps(file: File, /, *, gst_factor: float = 5.0, range_error_m: float = 5.0) -
 def _decode(decoder: PassiveDecoder, file: Path) -> int:
     """Print what the decoder finds, a chunk at a time, however long the file is."""
     printed = byte_count = 0
+    head = b""
     stream, live = _open(file), LiveLine()
     try:
         for data in _chunks(file, stream):
             byte_count += len(data)
+            head = head or data[:8]
             printed += print_samples(decoder.receive_data(data))
             live.show(f"{file}: {printed} lines from {byte_count / 1e6:.1f} MB")
         printed += print_samples(decoder.finish())
@@ -135,13 +145,16 @@ def _decode(decoder: PassiveDecoder, file: Path) -> int:
         live.clear()
         print(counts_line(byte_count, printed, decoder.counts), file=sys.stderr)
     if byte_count and not printed:
-        print("terrabound: nothing in these bytes could be decoded; are they of this device?", file=sys.stderr)
+        why = next((what for magic, what in OTHER_FILES.items() if head.startswith(magic)), "are they of this device?")
+        print(f"terrabound: nothing in these bytes could be decoded; {why}", file=sys.stderr)
     return 0
 
 
 def _open(file: Path) -> BufferedReader:
     """The file, or standard input."""
     if str(file) == "-":
+        if sys.stdin is None:
+            raise CaptureError("-: standard input is closed; give a file of raw bytes")
         return cast(BufferedReader, sys.stdin.buffer)
     try:
         return file.open("rb")

@@ -156,6 +156,20 @@ def test_writing_after_the_end_is_refused(tmp_path: Path) -> None:
         writer.write("imu", b"x", 1, 1)
 
 
+def test_every_thread_is_told_why_the_recording_stopped(tmp_path: Path) -> None:
+    """On a full disk the laser's thread and the GPS's get the same words: whichever is told last names the disk."""
+    writer = CaptureWriter(tmp_path / "a.mcap", CONFIG)
+    with Path("/dev/full").open("wb") as full:
+        os.dup2(full.fileno(), writer._file.fileno())  # the disk has no more room from now on
+    told = []
+    for device in ("laser", "gps", "laser"):
+        with pytest.raises(CaptureError, match="No space left") as refused:
+            writer.write(device, os.urandom(200_000), 1, 1)
+        told.append(str(refused.value))
+    assert len(set(told)) == 1
+    assert told[0].endswith("Make room")
+
+
 def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
     """Missing, empty and foreign files are each told apart in the text."""
     with pytest.raises(CaptureError, match="No such file"):

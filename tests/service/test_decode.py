@@ -1,5 +1,7 @@
 """Raw bytes of one device from a file, as JSON Lines: through the real command."""
 
+import bz2
+import gzip
 import json
 import os
 import subprocess
@@ -210,3 +212,25 @@ def scanner_bytes() -> bytes:
         sent = emulator.data_to_send(now_ns)
         data += sent if step > 9 else b""
     return data
+
+
+@pytest.mark.parametrize(
+    ("suffix", "told"), [(".gz", "gzip -dc FILE"), (".bz2", "bzip2 -dc FILE"), (".mcap", "replay")]
+)
+def test_files_that_are_no_raw_bytes_are_told_from_dirt(
+    suffix: str, told: str, decode: Decode, tmp_path: Path, recordings: Path
+) -> None:
+    """A compressed log, a capture: what to do with it."""
+    raw = (recordings / "nmea" / "ublox-8.log").read_bytes()
+    written = {".gz": gzip.compress(raw), ".bz2": bz2.compress(raw), ".mcap": b"\x89MCAP0\r\n" + raw[:3]}
+    (tmp_path / f"log{suffix}").write_bytes(written[suffix])
+    lines, counts = decode("gps", tmp_path / f"log{suffix}")
+    assert lines == []
+    assert told in counts
+
+
+def test_standard_input_that_is_closed_is_told() -> None:
+    """As of a service without one."""
+    command = f"{sys.executable} -m service.cli decode gps - <&-"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, "standard input is closed" in done.stderr) == (1, True), done.stderr

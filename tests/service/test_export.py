@@ -1,8 +1,12 @@
 """`terrabound export`: every format that it offers, and what it does not; other people's readers of what it writes."""
 
+import json
+import os
 import re
+import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -119,6 +123,64 @@ def test_a_store_in_use_is_left_alone(store: Path, capfd: pytest.CaptureFixture[
     assert run_command(["export", str(store), str(store.with_name("out.npz"))]) == 1
     assert "in use by another process" in capfd.readouterr().err
     owner.close()
+
+
+def test_a_run_in_doubt_is_exported_in_doubt(store: Path) -> None:
+    """What the store says of the bounds goes into the file; a run whose bounds held says that too."""
+    void = '{"intact":false,"void_since_ns":7,"sensor":"gps"}'
+    opened, _ = open_store(store)
+    opened.save(Submap(0, 0.1, "map", guarantee=void), [], 0)
+    opened.close()
+    output = store.with_name("out.npz")
+    assert run_command(["export", str(store), str(output), "--submap", "0"]) == 0
+    assert load(output).guarantee == void
+    assert run_command(["export", str(store), str(output)]) == 0
+    assert json.loads(load(output).guarantee)["intact"] is True
+
+
+@pytest.fixture
+def backup(store: Path, tmp_path: Path) -> Iterator[Path]:
+    """The store as a crash left it, its log not yet folded in, on a disk that can't be written."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    if os.getuid() != 0 or subprocess.run(["mount", "-t", "tmpfs", "tmpfs", disk], capture_output=True).returncode != 0:
+        pytest.skip("no disk can be mounted here")
+    opened, _ = open_store(store)
+    low = np.full((64, 64), 2.0, np.float32)
+    opened.save(Submap(2, 0.1, "map"), [Tile(2, 0, 0, 0.1, low, low)], 0)
+    for suffix in ("", "-wal"):
+        shutil.copy(f"{store}{suffix}", disk)
+    opened.close()
+    subprocess.run(["mount", "-o", "remount,ro", disk], check=True)
+    yield disk / store.name
+    subprocess.run(["umount", "-l", disk], check=True)
+
+
+def test_a_backup_that_cannot_be_written_is_exported_whole(backup: Path, tmp_path: Path) -> None:
+    """From a read-only disk, or where only reading is allowed: with what stands in the log alone."""
+    assert Path(f"{backup}-wal").stat().st_size > 0
+    output = tmp_path / "out.npz"
+    assert run_command(["export", str(backup), str(output)]) == 0
+    assert (load(output).low == 2.0).all()
+    assert run_command(["export", str(backup), str(output), "--submap", "1"]) == 0
+    assert (load(output).low == 1.0).all()
+
+
+def test_a_store_that_only_another_user_may_write_is_left_alone_while_in_use(
+    backup: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Reading alone needs no permission to write, but still a store that stands still."""
+    holder = "import fcntl, sys; file = open(sys.argv[1], 'r+b'); fcntl.lockf(file, fcntl.LOCK_EX, 510, 0x40000002);"
+    command = [sys.executable, "-c", f"{holder} print(flush=True); sys.stdin.read()", str(backup)]
+    subprocess.run(["mount", "-o", "remount,rw", backup.parent], check=True)
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as service:
+        assert service.stdout is not None
+        service.stdout.readline()
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(os, "access", lambda path, mode: mode != os.W_OK or "disk" not in str(path))
+            assert run_command(["export", str(backup), str(backup.parents[1] / "out.npz")]) == 1
+        service.communicate()
+    assert f"{backup}: in use by another process" in capfd.readouterr().err
 
 
 def run_example(name: str, *arguments: object) -> str:

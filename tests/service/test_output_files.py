@@ -2,12 +2,16 @@
 
 import shutil
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from drivers.capture import CaptureWriter
+from estimator.bounded_pose import INTACT, BoundedPose
 from service.cli import run_command
 from service.output_files import OutputError, refuse_unwritable
+from service.pipeline import Pipeline
 from service.shipped import shipped_config
 
 
@@ -65,3 +69,20 @@ def test_devices_and_new_names_are_no_obstacle(tmp_path: Path) -> None:
     refuse_unwritable([Path("/dev/stdout"), Path("/dev/null"), tmp_path / "new.npz", tmp_path / "old.npz", None])
     with pytest.raises(OutputError, match=r"old\.npz: is read by this command"):
         refuse_unwritable([tmp_path / "old.npz"], inputs=[None, tmp_path / "missing", tmp_path / "old.npz"])
+
+
+def test_a_disk_that_fills_up_is_told_with_the_file(
+    drive: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Of poses that are written all along: which file, and why."""
+    pose = BoundedPose(10, 20, np.zeros(6), np.ones(6), INTACT)
+
+    def replayed(*arguments: Any) -> Pipeline:
+        on_pose = arguments[2]
+        for _ in range(1000):
+            on_pose(pose)
+        raise AssertionError("a full disk takes no thousand poses")
+
+    monkeypatch.setattr("service.commands.replay.replay_directly", replayed)
+    assert run_command(["replay", str(drive), "--poses", "/dev/full"]) == 1
+    assert "/dev/full: can't be written: No space left" in capfd.readouterr().err
