@@ -294,7 +294,7 @@ class RemoteMap:
         if name == POSE.name:
             self.pose = read_pose(payload)
             with self._changed:
-                self._copy.guarantee = self.pose.guarantee
+                self._copy.take_guarantee(self.pose.guarantee)
         elif name == ANCHOR.name:
             self.anchor = read_anchor(payload)
         elif (submap := submap_of_anchor(name)) is not None:

@@ -64,6 +64,13 @@ class CopiedMap:
         self.listing_wanted = self.listing_wanted or there
         self.in_sync = self.in_sync and there
 
+    def take_guarantee(self, told: Guarantee) -> None:
+        """As a pose or a tile says. Void stays void while a run lasts: a message that says otherwise came slower, as
+        tiles do on a narrow link, which lets poses pass.
+        """
+        if self.guarantee is None or self.guarantee.intact or not told.intact:
+            self.guarantee = told
+
     # Tiles
 
     def take_tile(self, tile: Tile, note: TileNote) -> None:
@@ -114,7 +121,7 @@ class CopiedMap:
         known = self._beams_until_ns.get(place, until_ns)
         self._beams_until_ns[place] = None if known is None or until_ns is None else max(known, until_ns)
         if tile.submap >= max((place.submap for place in self.tiles), default=0):
-            self.guarantee = guarantee_from(note.guarantee)
+            self.take_guarantee(guarantee_from(note.guarantee))
 
     def _enter_epoch(self, epoch: str) -> None:
         """Another run of the publisher is another map, in another frame perhaps: begin anew."""
@@ -128,6 +135,8 @@ class CopiedMap:
         self.anchors.clear()
         self.stale.clear()
         self._root = None
+        if not first:
+            self.guarantee = None
         self.introduced = self.introduced and first
         self.compared = self.in_sync = self.final = False
         self.listing_wanted = True
