@@ -152,7 +152,7 @@ class ImuConfig:
     port: str
     baud: int = 115200
     latency_ms: LatencyMs
-    clock_drift_ppm: NotNegative
+    clock_drift_ppm: Annotated[float, Field(ge=0, le=100_000)]
     """Rate error of the board's clock against the host's."""
     gyro_bias_bound_dps: NotNegative
     """Largest bias of any axis, ever."""
@@ -160,8 +160,8 @@ class ImuConfig:
     """Largest rate of change of a bias."""
     gyro_noise_bound_dps: NotNegative
     """Error of one packet's mean rate beside bias and scale."""
-    gyro_scale_bound: NotNegative
-    """Relative scale error, as 0.005 for half a percent."""
+    gyro_scale_bound: Annotated[float, Field(ge=0, le=0.5)]
+    """Relative scale error, as 0.005 for half a percent. (From 1 on a reading would bound no rate at all.)"""
     tilt_bound_deg: Positive
     """Total error of roll and of pitch, lag and motion included."""
     accel_bound_mps2: Positive

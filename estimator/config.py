@@ -25,8 +25,9 @@ class RobotConfig:
     max_turn_rate_dps: Positive
     """|body rate|, each axis."""
     max_turn_acceleration_dps2: Positive
-    slip_ratio: NotNegative
-    """Each track's longitudinal slip: |ground travel - track travel| <= slip_ratio * |track travel|."""
+    slip_ratio: Annotated[float, Field(ge=0, le=0.9)]
+    """Each track's longitudinal slip: |ground travel - track travel| <= slip_ratio * |track travel|. (At 1 a track may
+    spin at any speed.)"""
     lateral_slip_ratio: NotNegative
     """|v_lateral| <= lateral_slip_ratio * |v| + turning_centre_m * |turn rate|."""
     turning_centre_m: NotNegative

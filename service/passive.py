@@ -186,7 +186,7 @@ def imu_config(baud: int = 115200, latency_ms: tuple[float, float] = (0.0, 0.0))
         gyro_bias_bound_dps=1.0,
         gyro_bias_drift_dps2=1.0,
         gyro_noise_bound_dps=1.0,
-        gyro_scale_bound=1.0,
+        gyro_scale_bound=0.5,
         tilt_bound_deg=1e6,  # what a board vouches for is no reason to leave a reading out
         accel_bound_mps2=1e6,
     )
