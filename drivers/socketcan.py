@@ -9,8 +9,12 @@ from can.typechecking import CanFilter
 
 from drivers.errors import PortLost, PortMissing
 from drivers.kernel_stamps import KernelStamps
+from drivers.record_pipe import LOST, NOT_STAMPED, RecordPipe
 from drivers.track_encoders.codec import CanFrame, pack_can_frame, unpack_can_frame
 from drivers.transports import WRITE_PATIENCE_S
+
+LONGEST_WAIT_S = 0.05
+"""`pump` comes back as often, so that the wish to stop is seen."""
 
 
 class SocketCanTransport:
@@ -25,6 +29,8 @@ class SocketCanTransport:
         self.received_ns: int | None = None
         self.stamps = stamps or KernelStamps()
         self._bus = bus
+        self._lost_bytes = 0
+        """Found the pipe full."""
         self.read_ns = self.empty_ns = self.stamps.not_before_ns
 
     def read(self, timeout_s: float) -> bytes:
@@ -42,6 +48,19 @@ class SocketCanTransport:
         self.read_ns, self.empty_ns = time.monotonic_ns(), self.stamps.not_before_ns
         self.received_ns = self.stamps.received_ns(round(message.timestamp * 1e9))
         return pack_can_frame(_frame_of(message))
+
+    def pump(self, pipe: RecordPipe, port: int, opening: int, wake_fd: int, lasting_s: float) -> None:
+        """Write every frame into `pipe`. `wake_fd` is seen when the time is over: nobody asks a CAN bus anything."""
+        until_s = time.monotonic() + min(lasting_s, LONGEST_WAIT_S)
+        while (left_s := until_s - time.monotonic()) > 0:
+            if data := self.read(left_s):
+                stamp_ns = NOT_STAMPED if self.received_ns is None else self.received_ns
+                times = {"read_ns": self.read_ns, "empty_ns": self.empty_ns, "received_ns": stamp_ns}
+                lost = self._lost_bytes
+                if lost and pipe.put(port, opening, LOST, read_ns=self.read_ns, lost_bytes=lost):
+                    lost = 0
+                kept = lost == 0 and pipe.put(port, opening, len(data), data=data, **times)
+                self._lost_bytes = 0 if kept else lost + len(data)
 
     def write(self, data: bytes) -> None:
         """Send whole frames."""

@@ -1,8 +1,8 @@
 """Where bytes come from: serial ports (socketcan.py has CAN interfaces). No other files open a device.
 
-A transport knows no protocol. It hands over what one read gave, at once, however little that is, and knows when the
-port was last seen empty: bytes read now surely came after that, however long this process was kept from reading. A port
-that went away is PortLost, once and for all: close it and open a new one.
+A transport knows no protocol. It hands over what one read gave, at once, however little that is (`read`, or into a
+pipe with `pump`), and knows when the port was last seen empty: bytes read now surely came after that, however long this
+process was kept from reading. A port that went away is PortLost, once and for all: close it and open a new one.
 """
 
 import contextlib
@@ -19,9 +19,18 @@ import serial
 
 from drivers import port_read
 from drivers.errors import PortBusy, PortError, PortLost, PortMissing
-from drivers.port_read import EMPTY, INTERRUPTED, READ, SEEN_EMPTY, read_in_machine_code
+from drivers.port_read import EMPTY, GONE, INTERRUPTED, LOST_SO_FAR, READ, SEEN_EMPTY, read_in_machine_code
+from drivers.record_pipe import (
+    NOT_STAMPED,
+    OPENING,
+    PORT,
+    READ_BYTES,
+    RECEIVED_NS,
+    RECORD_BYTES,
+    RECORD_HEAD_BYTES,
+    RecordPipe,
+)
 
-_READ_BYTES = 65536
 WRITE_PATIENCE_S = 1.0
 _FULL_BYTES = 2048
 """A read of so much may have left bytes behind: a terminal's buffer holds 4095, with more bytes in reserve."""
@@ -46,6 +55,12 @@ class Transport(Protocol):
     def read(self, timeout_s: float) -> bytes:
         """What has arrived; waits for the first byte at most `timeout_s`, then b"". Raises PortLost."""
 
+    def pump(self, pipe: RecordPipe, port: int, opening: int, wake_fd: int, lasting_s: float) -> None:
+        """Write every read into `pipe`, as of this port and opening, until `wake_fd` can be read.
+
+        It comes back at least every `lasting_s`. Raises PortLost.
+        """
+
     def write(self, data: bytes) -> None:
         """Send all of `data`. Raises PortLost."""
 
@@ -65,9 +80,10 @@ class SerialTransport:
         self.received_ns: int | None = None
         self._line = line
         self._fd = line.fileno()
-        self._watched, self._moment = np.zeros(2, np.int32), np.zeros(2, np.int64)
-        self._times = np.full(3, opened_ns)
-        self._buffer = np.empty(_READ_BYTES, np.uint8)
+        self._watched, self._moment = np.zeros(4, np.int32), np.zeros(2, np.int64)
+        self._times = np.array([opened_ns, opened_ns, opened_ns, 0])
+        self._record = np.zeros(RECORD_BYTES // 8, np.int64)
+        self._buffer = self._record.view(np.uint8)[RECORD_HEAD_BYTES:]
         self._writable = select.poll()
         self._writable.register(self._fd, select.POLLOUT)
 
@@ -81,18 +97,36 @@ class SerialTransport:
         """Before then none of them came."""
         return int(self._times[EMPTY])
 
+    @property
+    def lost_bytes(self) -> int:
+        """Read, but the pipe was full; the pipe does not tell yet."""
+        return int(self._times[LOST_SO_FAR])
+
     def read(self, timeout_s: float) -> bytes:
         """What has arrived; waits for the first byte at most `timeout_s`, then b""."""
         timeout_ns = int(max(0.0, timeout_s) * 1e9)
         count = port_read.read_when_ready(
-            self._fd, timeout_ns, _FULL_BYTES, self._watched, self._moment, self._times, self._buffer
+            self._fd, -1, timeout_ns, _FULL_BYTES, self._watched, self._moment, self._times, self._buffer
         )
         if count >= 0:
             return self._buffer[:count].tobytes()
-        if count == INTERRUPTED:
-            return b""
+        return b"" if count == INTERRUPTED else self._read_or_why_not()
+
+    def pump(self, pipe: RecordPipe, port: int, opening: int, wake_fd: int, lasting_s: float) -> None:
+        """Write every read into `pipe`, in machine code, until `wake_fd` can be read."""
+        self._record[PORT], self._record[OPENING], self._record[RECEIVED_NS] = port, opening, NOT_STAMPED
+        lasting_ns = int(lasting_s * 1e9)
+        room = self._watched, self._moment, self._times, self._record, self._buffer
+        happened = port_read.pump_port(self._fd, wake_fd, pipe.sink_fd, lasting_ns, _FULL_BYTES, *room)
+        if happened == GONE and (data := self._read_or_why_not()):
+            times = {"read_ns": self.read_ns, "empty_ns": self.empty_ns, "received_ns": NOT_STAMPED}
+            if not pipe.put(port, opening, len(data), data=data, **times):
+                self._times[LOST_SO_FAR] += len(data)
+
+    def _read_or_why_not(self) -> bytes:
+        """Where a read has failed: PortLost with the reason, or what comes all the same."""
         try:
-            data = os.read(self._fd, _READ_BYTES)
+            data = os.read(self._fd, READ_BYTES)
         except (BlockingIOError, InterruptedError):
             return b""
         except OSError as error:

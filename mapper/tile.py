@@ -243,7 +243,7 @@ def _like(tile: Tile, *layers: NDArray[np.generic]) -> Tile:
 
 def _seal(tile: Tile, *layers: NDArray[np.generic]) -> None:
     for name, layer in zip(("low", "high", "surely_hit", "settled_low", "settled_high"), layers, strict=True):
-        layer.flags.writeable = False
+        layer.setflags(write=False)
         object.__setattr__(tile, name, layer)
 
 

@@ -27,6 +27,7 @@ from service.publisher import MAP_FRAME, MapUpdate, Publisher
 from service.readers import Readers
 from service.rehearsal import rehearse
 from service.rolling_window import RollingWindow
+from service.scan_rhythm import take_in_rhythm
 from service.session_ahead import SessionAhead
 from service.unpublished import Unpublished
 
@@ -127,10 +128,12 @@ class Onboard:
         gc.freeze()
         self.pipeline.map.submap = self.publisher.submap = self.keeper.start()
         self.publisher.start()
-        self._thread.start()
         self.readers.read_punctually()
         if not self.readers.started:
             self.readers.start(self._acknowledge if self._lockstep else None)
+        if not self._lockstep:
+            self.readers.leave_to_taker()
+        self._thread.start()
 
     def stop(self, flush_s: float = 2.0) -> None:
         """End in order: ports, pipeline, saved map, last tiles, capture."""
@@ -147,7 +150,7 @@ class Onboard:
             self.publisher.flush(flush_s)
             self.publisher.close()
             self.keeper.close()
-            self.readers.end_recording()
+            self.readers.close()
 
     def finish(self) -> None:
         """The stream has ended, but the publisher lives on: readers stop, the pipeline uses what it still holds."""
@@ -206,8 +209,15 @@ class Onboard:
     def _map(self) -> None:
         """The pipeline thread: take, step, offer."""
         try:
-            while not self._stopping.is_set() or not self.queue.empty:
-                arrivals = self.queue.take(IDLE_S)
+            ending = False
+            while not ending:
+                ending = self._stopping.is_set()  # before the last look at what is left
+                # In lockstep another thread parses and acknowledges meanwhile.
+                arrivals = (
+                    self.queue.take(IDLE_S)
+                    if self._lockstep
+                    else take_in_rhythm(self.readers, self.pipeline, self.clock)
+                )
                 if arrivals and self._hurries():
                     time.sleep(GATHER_S)
                     arrivals += self.queue.take(0)

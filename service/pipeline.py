@@ -21,6 +21,8 @@ from service.sample_queue import Arrival
 DEVICES = ("encoders", "imu", "gps", "laser")
 """Names of the devices; their order decides between equal stamps: motion first, scans last."""
 
+MOTION, SCANNER = ("encoders", "imu"), "laser"
+
 MAX_WAITING_SCANS = 750
 """Ten seconds of scans may wait for poses; then the oldest goes, and is counted."""
 
@@ -63,6 +65,17 @@ class Pipeline:
     def waiting_scans(self) -> int:
         """Scans that wait for their poses."""
         return len(self._waiting)
+
+    def next_scan_ns(self) -> int | None:
+        """Host time at which the oldest scan's poses should be there, and not before; None: none is known to come.
+
+        A guess from what the window holds: motion whose stamps begin after the scan must leave it.
+        """
+        end_ns = self._waiting[0].end_ns if self._waiting else self._window.oldest_ns(SCANNER)
+        if end_ns is None:
+            return None
+        released_ns = [self._window.released_at_ns(device, end_ns) for device in MOTION]
+        return None if None in released_ns else max(time for time in released_ns if time is not None)
 
     def step(self, arrival: Arrival) -> None:
         """Take one arrival; filter and map whatever it releases."""

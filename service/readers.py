@@ -1,24 +1,38 @@
-"""All devices' readers, the queue that they fill, the health that they report to, and the recording that they keep.
+"""All devices' readers, the thread that parses what they read, the queue that it fills, the recording that is kept.
 
-They need no machine code, and nothing of filter and map: the service starts them first. A scanner is found and set up
-while numba is loaded; what they read before they can read punctually would be used with late stamps, so it isn't used.
+A reader's thread hardly ever needs the interpreter; what all of them have read is parsed by one thread, a few
+milliseconds' worth at a time. So threads change places rarely, and no stamp waits for it (docs/decisions/0037).
+
+They need no machine code to begin, and nothing of filter and map: the service starts them first. A scanner is found and
+set up while numba is loaded; what is read before it can be read punctually would be used with late stamps, so it isn't
+used.
 """
 
-from collections.abc import Callable, Iterator
+import threading
+import time
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from drivers.clock import Clock
 from drivers.errors import CaptureError
 from drivers.port_read import read_in_machine_code
+from drivers.record_pipe import Record, RecordPipe
 from service.config import LoadedConfig
+from service.conversation import Conversation
 from service.devices import Device, can_frames, unchecked_wiring
 from service.health import Health
 from service.reader import Reader
-from service.sample_queue import SampleQueue
+from service.sample_queue import Arrival, SampleQueue
 
 if TYPE_CHECKING:
     from drivers.capture import CaptureWriter
+
+
+GATHER_S = 0.004
+"""In real time what has come is parsed this often."""
+LONGEST_WAIT_S = 0.05
+"""The thread looks up at least this often."""
 
 
 class Readers:
@@ -36,16 +50,26 @@ class Readers:
         self.clock = clock
         self.devices = unchecked_wiring(loaded) if devices is None else devices
         self.queue = SampleQueue()
-        self.queue.keeps = False
+        self.queue.keeps_from_ns = None
         self.health = Health()
         self._loaded = loaded
         self._capture_path = capture
         self._capture: CaptureWriter | None = None
-        self._readers: dict[str, Reader] = {}
+        self._pipe = RecordPipe()
+        self._readers: list[Reader] = []
+        self._conversations: list[Conversation] = []
+        """Of the ports in the order of their numbers."""
+        self._names: list[str] = []
+        self._gather_s = 0.0
+        self._stopped = False
+        self._left_to_taker = threading.Event()
+        self._failure: BaseException | None = None
+        self._thread = threading.Thread(target=self._converse, name="conversations", daemon=True)
 
-    def __iter__(self) -> Iterator[Reader]:
+    def __iter__(self) -> Iterator[Conversation]:
         """Those that were started, in the devices' order."""
-        return (self._readers[device.name] for device in self.devices if device.name in self._readers)
+        begun = dict(zip(self._names, self._conversations, strict=True))
+        return (begun[device.name] for device in self.devices if device.name in begun)
 
     @property
     def started(self) -> bool:
@@ -55,7 +79,7 @@ class Readers:
     @property
     def failure(self) -> BaseException | None:
         """What ended one of them early, if anything did."""
-        return next((reader.failure for reader in self if reader.failure is not None), None)
+        return next((reader.failure for reader in self._readers if reader.failure is not None), self._failure)
 
     def open_recording(self) -> None:
         """Create the capture's file. CaptureError where that can't be."""
@@ -66,32 +90,112 @@ class Readers:
             self._capture = CaptureWriter(self._capture_path, self._loaded.text, self._loaded.dbc_text(), framed)
 
     def start(self, acknowledge: Callable[[str, int], None] | None = None) -> None:
-        """Open the ports and begin; ports may come and go later. `acknowledge`: see Reader.
+        """Open the ports and begin; ports may come and go later.
 
         Until `read_punctually` they converse with their devices, and keep no sample. Raises ConfigurationError where
         what the configuration names can't be used; those that read already are then to be stopped.
+
+        `acknowledge`: see Conversation. Where there is one, nothing is gathered: a lockstep waits for each answer.
         """
+        self._gather_s = GATHER_S if acknowledge is None else 0.0
         # The scanner first: it may have to be set up, which takes a second.
         for device in sorted(self.devices, key=lambda device: device.name != "laser"):
-            reader = Reader(device, self.clock, self.queue, self.health, self._capture, acknowledge)
-            self._readers[device.name] = reader
+            reader = Reader(device, len(self._readers), self._pipe, self.health)
+            conversation = Conversation(
+                device, self.clock, self.queue, self.health, reader.ask, self._capture, acknowledge
+            )
+            self._names.append(device.name)
+            self._conversations.append(conversation)
+            self._readers.append(reader)
             reader.start()
+            if len(self._readers) == 1:
+                self._thread.start()
 
     def read_punctually(self) -> None:
         """From now on bytes are stamped as they come, and samples are kept."""
         read_in_machine_code()
-        self.queue.keeps = True
+        for reader in self._readers:
+            reader.wake()
+        self.queue.keeps_from_ns = time.monotonic_ns() if self.started else 0
+
+    def leave_to_taker(self) -> None:
+        """The thread that parses ends: from now on whoever calls `take` does it."""
+        self._left_to_taker.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def take(self, timeout_s: float, rest_s: float = 0.0, then: Collection[str] = ()) -> list[Arrival]:
+        """What the sensors have given since the last call, parsed now. One after `stop` gives all that is left.
+
+        It is waited for `rest_s` in any case, and then, for at most `timeout_s`, until anything is there, or if `then`
+        names devices, until one of them gives something more. No protocol's deadline is missed.
+        """
+        if self._stopped:
+            while self._parse(self._pipe.take(0)):
+                pass
+        else:
+            self._parse(self._gathered(min(rest_s + timeout_s, self._patience_s()), rest_s, then))
+        return self.queue.take(0)
 
     def stop(self) -> None:
-        """Close the ports; what was read stays in the queue."""
-        for reader in self:
+        """Close the ports; what was read stays in the queue, or can be taken."""
+        if self._stopped:
+            return
+        for reader in self._readers:
             reader.stop()
+        self._stopped = True
+        if self._thread.is_alive():
+            self._thread.join()
 
-    def end_recording(self) -> None:
-        """Close the capture; where the disk refuses its index, the recording replays without it."""
+    def close(self) -> None:
+        """After `stop`, when nothing is taken any more.
+
+        Where the disk refuses the capture's index, the recording replays without it.
+        """
+        for reader in self._readers:
+            reader.close()
+        self._pipe.close()
         capture, self._capture = self._capture, None
         try:
             if capture is not None:
                 capture.close()
         except CaptureError as error:
             self.health.trouble("recording", str(error))
+
+    def _converse(self) -> None:
+        """The thread: whatever ends it early is kept for whoever watches over the service."""
+        try:
+            while not (self._stopped or self._left_to_taker.is_set()):
+                self._parse(self._gathered(self._patience_s(), self._gather_s, ()))
+            while self._stopped and self._parse(self._pipe.take(0)):  # closed ports' last records
+                pass
+        except BaseException as error:
+            self._failure = error
+
+    def _gathered(self, patience_s: float, rest_s: float, then: Collection[str]) -> list[Record]:
+        """What ports gave; see `take`."""
+        until_s = time.monotonic() + patience_s
+        if rest_s > 0:
+            time.sleep(min(rest_s, patience_s))
+        records = self._pipe.take(0)
+        awaited = bool(records) and not then
+        while not awaited and (left_s := until_s - time.monotonic()) > 0:
+            more = self._pipe.take(left_s)
+            records += more
+            awaited = any(not then or self._names[record.port] in then for record in more)
+        return records
+
+    def _parse(self, records: list[Record]) -> bool:
+        """Make samples of what ports gave, and let deadlines pass; was there anything?"""
+        now_ns = self.clock.now_ns()
+        for record in records:
+            self._conversations[record.port].take(record)
+        for conversation in self._conversations:
+            conversation.look_up(now_ns)
+        self.health.alive("conversations", time.monotonic_ns())
+        return bool(records)
+
+    def _patience_s(self) -> float:
+        """How long to wait for bytes: until a deadline, and never too long."""
+        now_ns = self.clock.now_ns()
+        return min([LONGEST_WAIT_S, *(conversation.patience_s(now_ns) for conversation in self._conversations)])

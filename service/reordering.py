@@ -27,6 +27,10 @@ def time_in_order(sample: Sample) -> int:
     return sample.stamp.latest_ns
 
 
+def _begins_at(entry: tuple[int, int, int, Arrival]) -> int:
+    return entry[3].sample.stamp.earliest_ns
+
+
 class ReorderingWindow:
     """Holds arrivals for `window_ns` of their own time and releases them in order."""
 
@@ -55,6 +59,20 @@ class ReorderingWindow:
         self._arrived[arrival.device] += 1
         heapq.heappush(self._heap, (when, rank, self._arrived[arrival.device], arrival))
         self._newest_ns = when if self._newest_ns is None else max(self._newest_ns, when)
+
+    def oldest_ns(self, device: str) -> int | None:
+        """Time in the order of the first sample of `device` that is held."""
+        rank = self._rank[device]
+        return min((entry[0] for entry in self._heap if entry[1] == rank), default=None)
+
+    def released_at_ns(self, device: str, begin_ns: int) -> int | None:
+        """When the newest stamp must have come for the first sample of `device` to be released whose own stamp begins
+        at `begin_ns` or later. None where none such is held.
+        """
+        rank = self._rank[device]
+        held = (entry[0] for entry in self._heap if entry[1] == rank and _begins_at(entry) >= begin_ns)
+        first = min(held, default=None)
+        return None if first is None else first + self._window_ns
 
     def release(self) -> Iterator[Arrival]:
         """Everything that is a window older than the newest, in order."""

@@ -23,8 +23,8 @@ class SampleQueue:
     def __init__(self, capacity: int = 4096) -> None:
         self.dropped: Counter[str] = Counter()
         """Arrivals lost to a full queue, or put while none were kept, by device."""
-        self.keeps = True
-        """Is kept what is put?"""
+        self.keeps_from_ns: int | None = 0
+        """Arrivals that were received earlier are not kept; None: none are."""
         self._capacity = capacity
         self._arrivals: deque[Arrival] = deque()
         self._changed = threading.Condition()
@@ -32,8 +32,12 @@ class SampleQueue:
     def put(self, arrivals: Sequence[Arrival]) -> None:
         """Add arrivals; never waits. A full queue loses its oldest: dropping a measurement is always sound."""
         with self._changed:
-            self._arrivals.extend(arrivals)
-            while len(self._arrivals) > (self._capacity if self.keeps else 0):
+            for arrival in arrivals:
+                if self.keeps_from_ns is None or arrival.received_ns < self.keeps_from_ns:
+                    self.dropped[arrival.device] += 1
+                else:
+                    self._arrivals.append(arrival)
+            while len(self._arrivals) > self._capacity:
                 self.dropped[self._arrivals.popleft().device] += 1
             self._changed.notify_all()
 

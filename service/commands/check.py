@@ -16,14 +16,15 @@ from rich.text import Text
 
 from drivers.clock import SystemClock
 from drivers.port_read import read_in_machine_code
+from drivers.protocol import DeviceProtocol
+from drivers.samples import Sample
 from service.commands.check_bounds import check_bounds
 from service.commands.line_rates import rate_that_is_understood
 from service.config import load
 from service.devices import Device, wiring
-from service.health import DeviceState, Health
+from service.health import DeviceState
 from service.lifecycle import stop_on_signals
-from service.reader import Reader
-from service.sample_queue import SampleQueue
+from service.readers import Readers
 
 EXIT_USAGE = 2
 LOOK_S, LOOKS = 0.2, 10
@@ -75,35 +76,33 @@ def check(
     if seconds == 0:
         return 0
     read_in_machine_code()
-    health, queue, ended = Health(), SampleQueue(capacity=1024), threading.Event()
-    readers = [Reader(device, SystemClock(), queue, health) for device in devices]
+    readers, ended = Readers(loaded, SystemClock(), devices=devices), threading.Event()
+    health = readers.health
     with stop_on_signals(ended):
-        for reader in readers:
-            reader.start()
+        readers.start()
         deadline = time.monotonic() + seconds
         looks = {device.name: deque[DeviceState](maxlen=LOOKS) for device in devices}
         with console.status("listening to the devices"):
             while not ended.wait(LOOK_S) and time.monotonic() < deadline:
-                queue.take(0)
                 for name, seen in looks.items():
                     seen.append(health.state(name, time.monotonic_ns()))
                 if all(list(seen) == LOOKS * [DeviceState.STREAMING] for seen in looks.values()):
                     break
         snapshot = health.snapshot(time.monotonic_ns())["devices"]
-        for reader in readers:
-            reader.stop()
+        readers.stop()
+        readers.close()
     table = Table("device", "state", "samples/s", "bytes/s", "damaged", Column("port", overflow="fold"), box=SIMPLE)
     remarks, problems = [], []
-    for device, reader in zip(devices, readers, strict=True):
+    for device, conversation in zip(devices, readers, strict=True):
         row = snapshot[device.name]
         if looks[device.name]:  # not what it was in the last instant, but what it mostly was of late
             row["state"] = Counter(looks[device.name]).most_common(1)[0][0].value
         state, port = Text(row["state"].lower()), Text(device.port)
         rates = f"{row['samples_per_s']:.1f}", f"{row['bytes_per_s']:.0f}"
         table.add_row(device.name, state, *rates, f"{100 * _damaged(row):.1f} %", port)
-        remarks.append(_remark(device, row, reader))
+        remarks.append(_remark(device, row, conversation.protocol))
         remarks += [f"{device.name}: {finding}" for finding in row["findings"]]
-        problems += _problems(device, row, reader)
+        problems += _problems(device, row, conversation.protocol)
     console.print(table)
     for line in filter(None, remarks):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
@@ -120,18 +119,18 @@ def _damaged(row: dict[str, Any]) -> float:
     return min(1.0, skipped / max(1, total))
 
 
-def _remark(device: Device, row: dict[str, Any], reader: Reader) -> str:
+def _remark(device: Device, row: dict[str, Any], protocol: DeviceProtocol[Sample]) -> str:
     """Who the device says that it is, and what its protocol has counted."""
-    identity = getattr(reader.protocol, "identity", None)
+    identity = getattr(protocol, "identity", None)
     words = [str(value) for value in astuple(identity) if value] if identity else []
     words += [f"{name}={count}" for name, count in sorted(row["counts"].items()) if count]
     return f"{device.name}: {' '.join(words)}" if words else ""
 
 
-def _problems(device: Device, row: dict[str, Any], reader: Reader) -> list[str]:
+def _problems(device: Device, row: dict[str, Any], protocol: DeviceProtocol[Sample]) -> list[str]:
     """What is wrong with a device, and what to do."""
     name, port, counts = device.name, device.port, row["counts"]
-    state = getattr(reader.protocol, "state", "")
+    state = getattr(protocol, "state", "")
     where = f" ({state})" if state else ""
     problems = []
     match row["state"]:
@@ -153,7 +152,7 @@ def _problems(device: Device, row: dict[str, Any], reader: Reader) -> list[str]:
         case DeviceState.DEGRADED if not counts.get("stuck"):
             problems.append(f"{name}: {port} is not at its best{where}: see its counts above")
     if counts.get("stuck"):
-        sensors = str(getattr(getattr(reader.protocol, "identity", None), "sensors", "")).split(", ")
+        sensors = str(getattr(getattr(protocol, "identity", None), "sensors", "")).split(", ")
         stuck = [sensor for sensor in sensors if sensor.endswith("(stuck)")]
         if stuck:
             problems.append(f"{name}: {', '.join(stuck)}: its readings never change; check this sensor and its supply")

@@ -6,16 +6,13 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
-from drivers.capture import CaptureWriter
 from drivers.clock import SystemClock
 from drivers.errors import CaptureError
 from drivers.port_read import read_in_machine_code
 from service.config import load
-from service.devices import can_frames, wiring
-from service.health import Health
+from service.devices import wiring
 from service.lifecycle import stop_on_signals
-from service.reader import Reader
-from service.sample_queue import SampleQueue
+from service.readers import Readers
 
 
 def record(*, config: Path, output: Path) -> int:
@@ -29,26 +26,22 @@ def record(*, config: Path, output: Path) -> int:
         MCAP file to write.
     """
     loaded = load(config)
-    devices = wiring(loaded)
+    # Samples are made for the devices' states alone: none is kept.
+    readers = Readers(loaded, SystemClock(), devices=wiring(loaded), capture=output)
+    health = readers.health
     read_in_machine_code()
-    health = Health()
-    queue = SampleQueue(capacity=1024)
     ended = threading.Event()
     with ExitStack() as stack:
         stack.enter_context(stop_on_signals(ended))
-        capture = CaptureWriter(output, loaded.text, loaded.dbc_text(), can_frames(devices))
-        stack.callback(capture.close)
-        readers = [Reader(device, SystemClock(), queue, health, capture) for device in devices]
-        for reader in readers:
-            reader.start()
-            stack.callback(reader.stop)
+        readers.open_recording()
+        stack.callback(readers.close)
+        readers.start()
+        stack.callback(readers.stop)
         while not ended.wait(0.5):
             if failure := health.troubles.get("recording"):
                 raise CaptureError(failure)
-            for reader in readers:
-                if reader.failure is not None:
-                    raise reader.failure
-            queue.take(0)  # samples are parsed for the states below only
+            if readers.failure is not None:
+                raise readers.failure
             if sys.stderr.isatty():
                 states = health.status_line(time.monotonic_ns())
                 size = output.stat().st_size / 1e6

@@ -72,7 +72,7 @@ def _onboard(loaded: LoadedConfig, readers: Readers, ahead: SessionAhead) -> "On
         onboard.start()
     except BaseException:
         readers.stop()
-        readers.end_recording()
+        readers.close()
         raise
     finally:
         gc.enable()

@@ -11,11 +11,11 @@ from drivers.clock import SystemClock
 from drivers.samples import WheelTicks
 from drivers.socketcan import SocketCanTransport
 from drivers.track_encoders.protocol import TrackEncoderProtocol
+from service.config import load
 from service.devices import Device
-from service.health import DeviceState, Health
+from service.health import DeviceState
 from service.passive import encoders_config
-from service.reader import Reader
-from service.sample_queue import SampleQueue
+from service.readers import Readers
 from service.shipped import shipped_config
 from simulator.emulators.track_encoders import tracks_frame
 
@@ -29,7 +29,6 @@ class Bench:
         self.channel = channel
         self.buses: list[can.BusABC] = []
         self.sender = can.Bus(interface="virtual", channel=channel)
-        self.queue, self.health = SampleQueue(), Health()
         dbc = shipped_config("tracks.dbc").read_text()
         config = encoders_config("TRACKS.LEFT", "TRACKS.RIGHT", "socketcan")
         device = Device(
@@ -40,8 +39,12 @@ class Bench:
             stale_after_s=0.1,
             can_frames=True,
         )
-        self.reader = Reader(device, SystemClock(), self.queue, self.health)
-        self.reader.start()
+        self._readers = Readers(load(shipped_config("demo.toml")), SystemClock(), devices=(device,))
+        self.health = self._readers.health
+        self._readers.start()
+        self._readers.read_punctually()
+        (conversation,) = self._readers
+        self.protocol = conversation.protocol
         self.until(lambda: len(self.buses) == 1)
 
     def _open(self) -> SocketCanTransport:
@@ -50,7 +53,8 @@ class Bench:
 
     def close(self) -> None:
         """Stop."""
-        self.reader.stop()
+        self._readers.stop()
+        self._readers.close()
         self.sender.shutdown()
 
     def send(self, left: int, right: int) -> None:
@@ -60,7 +64,7 @@ class Bench:
 
     def take(self) -> WheelTicks:
         """The next sample."""
-        (arrival,) = self.queue.take(PATIENCE_S)
+        (arrival,) = self._readers.queue.take(PATIENCE_S)
         assert isinstance(arrival.sample, WheelTicks)
         return arrival.sample
 
@@ -96,13 +100,13 @@ def test_error_frames_and_bus_off_are_told_and_the_counts_are_stale_at_once(benc
     bench.take()
     last_ns = time.monotonic_ns()
     bench.sender.send(can.Message(arbitration_id=0x40, is_error_frame=True, is_extended_id=False, dlc=8, data=bytes(8)))
-    counts = bench.reader.protocol.counts
+    counts = bench.protocol.counts
     bench.until(lambda: counts["bus_off"] == 1)
-    assert "bus-off" in getattr(bench.reader.protocol, "state", "")
+    assert "bus-off" in getattr(bench.protocol, "state", "")
     assert bench.health.state("encoders", last_ns + 300_000_000_000) == DeviceState.STALE
     bench.send(2, 2)
     bench.take()
-    assert getattr(bench.reader.protocol, "state", None) == ""
+    assert getattr(bench.protocol, "state", None) == ""
 
 
 def test_an_interface_that_went_down_is_opened_anew(bench: Bench) -> None:

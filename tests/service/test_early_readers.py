@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import threading
+import time
 from dataclasses import replace
 
 import pytest
@@ -38,12 +39,19 @@ def test_readers_need_no_machine_code() -> None:
 def test_what_is_not_read_punctually_is_not_used() -> None:
     """A sample read while the interpreter is busy loading is dropped and counted, not mapped with a late stamp."""
     readers = Readers(load(shipped_config("demo.toml")), SystemClock())
-    sample = Arrival("encoders", WheelTicks(Stamp(1, 2), 0, 0), 2)
-    readers.queue.put([sample])
-    readers.read_punctually()
-    assert (readers.queue.take(0), readers.queue.dropped) == ([], {"encoders": 1})
-    readers.queue.put([sample])
-    assert readers.queue.take(0) == [sample]
+    readers.start()
+    try:
+        sample = Arrival("encoders", WheelTicks(Stamp(1, 2), 0, 0), 2)
+        readers.queue.put([sample])
+        readers.read_punctually()
+        assert (readers.queue.take(0), readers.queue.dropped) == ([], {"encoders": 1})
+        punctual = replace(sample, received_ns=time.monotonic_ns())
+        readers.queue.put([sample, punctual])
+        assert readers.queue.take(0) == [punctual]
+        assert readers.queue.dropped == {"encoders": 2}
+    finally:
+        readers.stop()
+        readers.close()
 
 
 def test_a_mistake_found_while_readers_start_leaves_none_behind() -> None:
@@ -53,4 +61,4 @@ def test_a_mistake_found_while_readers_start_leaves_none_behind() -> None:
         readers.start()
     assert readers.started
     readers.stop()
-    assert not [thread for thread in threading.enumerate() if thread.name.startswith("reader")]
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith(("reader", "conversations"))]

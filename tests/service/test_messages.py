@@ -21,12 +21,14 @@ from service.messages import (
     TileNote,
     digest_parts,
     digest_root,
+    guarantee_message,
     read,
     read_anchor,
     read_plain,
     read_pose,
     write,
     write_anchor,
+    write_note,
     write_pose,
 )
 
@@ -199,3 +201,13 @@ def test_a_listing_with_a_missing_part_is_never_taken_for_a_whole_one() -> None:
     assert assembly.add(forged[0]) is None
     with pytest.raises(MalformedMessage):
         assembly.add(forged[1])
+
+
+@given(guarantees, st.none() | times, st.none() | times)
+def test_a_note_written_in_haste_is_the_note(
+    guarantee: Guarantee, released_ns: int | None, until_ns: int | None
+) -> None:
+    """Byte for byte what the general writer makes of it."""
+    message = guarantee_message(guarantee)
+    note = TileNote("0123456789abcdef", 7, message, released_ns, until_ns)
+    assert write_note(note.epoch, note.version, write(message), released_ns, until_ns) == write(note)

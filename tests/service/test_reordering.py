@@ -62,3 +62,19 @@ def test_samples_of_one_device_never_overtake_each_other() -> None:
     out, window = run([*arrivals[:3], ticks("encoders", 380), *arrivals[3:]], 200)
     assert [a for a in out if a.device == "imu"] == arrivals
     assert not window.late
+
+
+def test_when_a_sample_will_be_released_is_known_beforehand() -> None:
+    """With the newest stamp at that time it is released; a nanosecond before, it is not."""
+    window = ReorderingWindow(50 * MS, DEVICES)
+    for at_ms in (10, 20, 30):
+        window.add(ticks("encoders", at_ms))
+    assert window.oldest_ns("encoders") == 10 * MS
+    assert window.oldest_ns("imu") is None
+    assert window.released_at_ns("imu", 0) is None
+    assert window.released_at_ns("encoders", 31 * MS) is None
+    released_ns = window.released_at_ns("encoders", 15 * MS)
+    assert released_ns == 70 * MS
+    for newest_ns, count in ((released_ns - 1, 1), (released_ns, 1)):
+        window.add(Arrival("imu", WheelTicks(Stamp(newest_ns, newest_ns), 0, 0), newest_ns))
+        assert len(list(window.release())) == count

@@ -18,14 +18,14 @@ def test_a_full_queue_drops_the_oldest_and_counts_whose_they_were() -> None:
 
 
 def test_what_is_put_before_its_time_is_dropped_and_counted() -> None:
-    """Samples that are not to be used yet leave nothing but their number."""
+    """Samples that are not to be used yet leave nothing but their number; so do those that were read before."""
     queue = SampleQueue()
-    queue.keeps = False
+    queue.keeps_from_ns = None
     queue.put([arrival("imu", 0), arrival("gps", 1)])
-    queue.keeps = True
-    queue.put([arrival("imu", 2)])
-    assert [a.received_ns for a in queue.take(0)] == [2]
-    assert queue.dropped == {"imu": 1, "gps": 1}
+    queue.keeps_from_ns = 3
+    queue.put([arrival("imu", 2), arrival("imu", 3)])
+    assert [a.received_ns for a in queue.take(0)] == [3]
+    assert queue.dropped == {"imu": 2, "gps": 1}
 
 
 def test_taking_from_an_empty_queue_gives_nothing() -> None:

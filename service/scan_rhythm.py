@@ -1,0 +1,28 @@
+"""When the pipeline thread wakes up: once or twice a scan, instead of at every byte.
+
+Each time that a thread wakes up it finds its memory in no cache: much at a time costs half of the same in small
+portions (docs/decisions/0037). Stamps don't depend on it, as readers stamp what comes meanwhile. So the thread rests
+until the poses of the next scan can be complete, does what has come until then, and waits for the motion that completes
+them; nobody's scan waits any longer for that.
+"""
+
+from drivers.clock import Clock
+from service.pipeline import MOTION, Pipeline
+from service.readers import Readers
+from service.sample_queue import Arrival
+
+REST_S = 0.01
+"""So long where no scan is known to come, or where a sensor is silent and nothing completes it."""
+LONGEST_REST_S = 0.02
+"""The thread looks up at least this often."""
+
+
+def take_in_rhythm(readers: Readers, pipeline: Pipeline, clock: Clock) -> list[Arrival]:
+    """What the sensors have given, once it is time to look."""
+    next_ns = pipeline.next_scan_ns()
+    ahead_s = REST_S if next_ns is None else (next_ns - clock.now_ns()) * 1e-9
+    if ahead_s > 0:
+        return readers.take(LONGEST_REST_S, min(ahead_s, LONGEST_REST_S))
+    if ahead_s > -REST_S:
+        return readers.take(LONGEST_REST_S, then=MOTION)
+    return readers.take(LONGEST_REST_S, REST_S)
