@@ -147,7 +147,7 @@ def test_ours_is_what_the_mapper_on_the_robot_gives(readings: Readings) -> None:
     assert not np.any(~np.isnan(in_space.low) & ~seen)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     steps=st.lists(st.tuples(st.integers(1, 25), st.floats(-1.2, 1.2)), min_size=2, max_size=8),
     scale=st.sampled_from([0.01, 0.3, 1.0]),

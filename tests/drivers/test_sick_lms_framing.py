@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -147,7 +147,6 @@ def test_the_manuals_answers_are_frames(vector: str) -> None:
         assert read([bytes(wrong)])[0] == []
 
 
-@settings(deadline=None)
 @given(
     kind=st.sampled_from([RANGES, MEAN, SUB_RANGE, SUB_RANGE_FIELDS, SUB_RANGE_MEAN, FAST_REFLECTIVITY]),
     values=st.lists(st.integers(0, 0xFFFF), min_size=1, max_size=200),
@@ -196,7 +195,6 @@ def test_every_kind_of_range_telegram_round_trips(
         assert getattr(got, name) == getattr(sent, name)
 
 
-@settings(deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), cuts=st.lists(st.integers(0, 3000), max_size=20))
 def test_random_garbage_between_frames_loses_none(seed: int, cuts: list[int]) -> None:
     """All intact frames come out, in order, whatever lies between them and however the reads cut the stream."""

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -36,7 +36,6 @@ def ranges_telegram(codes: list[int] | NDArray[np.uint16], unit: int = MM) -> by
     return answer(RangeTelegram(values, unit).serialise())
 
 
-@settings(deadline=None)  # the first call may compile
 @given(
     ranges=st.lists(st.floats(0, 32.7), min_size=181, max_size=181),
     unit=st.sampled_from((CM, MM)),

@@ -151,7 +151,7 @@ def test_no_point_is_lost_not_even_by_rounding(check: str) -> None:
     assert all(CHECKS[check](el, rng) for _ in range(80))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 2**32), st.sampled_from(sorted(CHECKS)))
 def test_no_point_is_lost_whatever_is_drawn(seed: int, check: str) -> None:
     """The same for any seed."""

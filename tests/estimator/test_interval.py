@@ -40,7 +40,7 @@ def point(a: Interval, s: float) -> float:
     return min(max(a[0] + s * (a[1] - a[0]), a[0]), a[1])
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=400)
 @given(interval(), interval(), fraction, fraction)
 def test_sums_and_products_hold_the_exact_result(a: Interval, b: Interval, s: float, t: float) -> None:
     """For any x in [a] and y in [b], x op y, without rounding, is in [a] op [b]."""
@@ -59,7 +59,7 @@ def test_sums_and_products_hold_the_exact_result(a: Interval, b: Interval, s: fl
     assert iv.mig(a) <= abs(x) <= iv.mag(a)
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=400)
 @given(st.floats(-50.0, 50.0), st.one_of(st.just(0.0), st.floats(0.0, 8.0), st.floats(0.0, 1e-6)), fraction)
 def test_sine_and_cosine_hold_every_value(low: float, width: float, s: float) -> None:
     """For any x in [a], sin x and cos x are inside, and so are the extrema that [a] contains."""
@@ -82,7 +82,7 @@ def test_sine_and_cosine_know_their_extrema(turns: int, angle: float) -> None:
     assert iv.sine(a)[1] - iv.sine(a)[0] < 0.0021
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.floats(-1.0, 1.0))
 def test_arcsine_holds_the_exact_result(x: float) -> None:
     """asin x is inside asin [x, x], and nothing is left of an interval beyond 1."""
@@ -90,7 +90,7 @@ def test_arcsine_holds_the_exact_result(x: float) -> None:
     assert iv.is_empty(iv.arcsine((1.0 + 1e-9, 2.0)))
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=400)
 @given(st.floats(-10, 10), st.floats(-10, 10), st.floats(0, 4), st.floats(0, 4), fraction, fraction)
 @example(0.0, 1.6720429865575655e-248, 3.70430824849643e-250, 0.0, 0.0, 0.0)  # products underflow
 def test_direction_holds_every_point_of_the_box(
