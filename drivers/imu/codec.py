@@ -18,11 +18,9 @@ from collections import Counter
 from itertools import repeat
 from typing import Any, NamedTuple
 
-from pymavlink.dialects.v10 import ardupilotmega as _v1_messages
-from pymavlink.dialects.v20 import ardupilotmega as _messages
-
 from drivers.framing import StampedBuffer
-from drivers.imu.dialect import DEFINITIONS
+from drivers.imu.dialect import DEFINITIONS, Definition
+from drivers.kept_results import kept_result
 
 _MAGIC_V1, _MAGIC_V2 = 0xFE, 0xFD
 _MAGIC = re.compile(rb"[\xfd\xfe]")
@@ -30,11 +28,29 @@ _SIGNED = 0x01
 _SIGNATURE_BYTES = 13
 _CRC = struct.Struct("<H")
 
-_DEFINITION: dict[int, Any] = dict(_messages.mavlink_map) | {own.id: own for own in DEFINITIONS}
-_V1_BYTES: dict[int, int] = {number: m.unpacker.size for number, m in _v1_messages.mavlink_map.items()}
+
+def _of_pymavlink() -> dict[str, list[Any]]:
+    """Its definitions: of each message what `Definition` holds, and of each of version 1 its number and length."""
+    from pymavlink.dialects.v10 import ardupilotmega as v1
+    from pymavlink.dialects.v20 import ardupilotmega as v2
+
+    known = v2.mavlink_map.values()
+    return {
+        "messages": [[m.msgname, m.id, m.crc_extra, m.unpacker.format, list(m.ordered_fieldnames)] for m in known],
+        "v1_bytes": [[number, m.unpacker.size] for number, m in v1.mavlink_map.items()],
+    }
+
+
+_KEPT = kept_result(__file__, "pymavlink", "ardupilotmega", _of_pymavlink)
+_THEIRS = (
+    Definition(name, number, crc_extra, struct.Struct(layout), tuple(names))
+    for name, number, crc_extra, layout, names in _KEPT["messages"]
+)
+_DEFINITION: dict[int, Definition] = {one.id: one for one in (*_THEIRS, *DEFINITIONS)}
+_V1_BYTES: dict[int, int] = dict(_KEPT["v1_bytes"])
 """Version 1 knows no extension fields and cuts nothing off: the length is exact."""
 _V1_LENGTHS = frozenset(_V1_BYTES.values())
-_BY_NAME: dict[str, Any] = {m.msgname: m for m in _DEFINITION.values()}
+_BY_NAME: dict[str, Definition] = {one.msgname: one for one in _DEFINITION.values()}
 
 
 _REFLECTED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))

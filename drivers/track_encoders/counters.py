@@ -6,12 +6,11 @@ offset, in raw steps. cantools reads the DBC; the decoding itself is a shift and
 endian, any length up to 32 bits, multiplexed or not.
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Protocol
 
-import cantools
-
 from drivers.errors import ConfigurationError
+from drivers.kept_results import kept_result
 from drivers.track_encoders.codec import CanFrame
 
 _SPEEDS = ("m/s", "mps", "mm/s", "km/h", "kmh", "kph", "kmph", "mph", "rpm", "1/min", "rad/s", "deg/s", "hz", "ticks/s")
@@ -87,6 +86,33 @@ class TrackCounter:
 
 def find_counter(dbc: str, name: str) -> TrackCounter:
     """The counter called `name` (MESSAGE.SIGNAL) in the text of a DBC file."""
+    return _counter(kept_result(__file__, "cantools", [dbc, name], lambda: _plain(_sought(dbc, name))))
+
+
+_FIELDS = {"little": LittleEndianField, "big": BigEndianField}
+_PLACES = "field", "selector"
+
+
+def _counter(values: dict[str, Any]) -> TrackCounter:
+    """Out of what is kept."""
+    fields = {place: values[place] and _FIELDS[values[place].pop("order")](**values[place]) for place in _PLACES}
+    return TrackCounter(**(values | fields | {"selected": frozenset(values["selected"])}))
+
+
+def _plain(counter: TrackCounter) -> dict[str, Any]:
+    """As it is kept."""
+    values = asdict(counter) | {"selected": sorted(counter.selected)}
+    for place in _PLACES:
+        if values[place] is not None:
+            little = isinstance(getattr(counter, place), LittleEndianField)
+            values[place]["order"] = "little" if little else "big"
+    return values
+
+
+def _sought(dbc: str, name: str) -> TrackCounter:
+    """The same, looked for in the file."""
+    import cantools
+
     try:
         database: Any = cantools.database.load_string(dbc, database_format="dbc", strict=False)
     except Exception as error:  # the parser raises many kinds
