@@ -50,12 +50,13 @@ from mapper.saved_map import load as load_map
 from service.config import LoadedConfig, load
 from service.onboard import Onboard
 from service.shipped import shipped_config
-from simulator.emulated_robot import SETTLE_S, SLICE_NS, Wire
+from simulator.emulated_robot import SETTLE_S, SLICE_NS
 from simulator.emulators.emulator import Emulator
 from simulator.emulators.imu import ImuEmulator
 from simulator.emulators.sick_lms import SickLmsEmulator
 from simulator.emulators.track_encoders import TrackEncodersEmulator, tracks_frame
 from simulator.ports import PseudoPort
+from simulator.wire import Wire
 
 HERE = Path(__file__).resolve().parent
 CONFIG = HERE / "real_drive.toml"

@@ -10,10 +10,11 @@ from pathlib import Path
 
 from drivers.clock import SystemClock
 from drivers.config import DevicesConfig
-from simulator.emulated_robot import REAL_TIME_SLICE_NS, SLICE_NS, Wire, emulate_devices, plug_in
+from simulator.emulated_robot import REAL_TIME_SLICE_NS, SLICE_NS, emulate_devices, plug_in
 from simulator.emulators.emulator import Emulator
 from simulator.emulators.faulty import FaultyEmulator
 from simulator.line_faults import LINES, Fault, LineFaults
+from simulator.wire import Wire
 from simulator.world import World
 
 LINE_OF = {"laser": "lms", "encoders": "encoders", "imu": "imu", "gps": "gps"}

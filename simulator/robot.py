@@ -10,14 +10,15 @@ what an ideal gyro would integrate and the poses obey SMF equation (1) together,
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import cycle
-from math import atan, atan2, cos, floor, pi, sin, sqrt
+from math import atan, atan2, cos, pi, sin, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.compiled import compiled
+from simulator.body_surface import BodySurface, body_surface, surface_at
 from simulator.errors import ErrorLaw
-from simulator.terrain import Course, Manoeuvre, Terrain, smoothed
+from simulator.terrain import Course, Manoeuvre, Terrain
 
 Array = NDArray[np.float64]
 
@@ -28,7 +29,6 @@ STANDSTILL_NS = 2_000_000_000
 FINAL_REST_S = 1.0
 RAMP_S = 1.5
 """Time to reach the cruising speed, and to stop."""
-SURFACE_STEP_M = 0.05
 BOUNCE_LENGTH_M = 0.7
 """The body bounces with this wavelength along the path."""
 SLIP_SLOT_NS = 20_000_000
@@ -88,7 +88,7 @@ class Drive:
 def plan_drive(model: RobotModel, terrain: Terrain, law: ErrorLaw, duration_s: float) -> Drive:
     """The terrain's course driven for `duration_s`, standstill included, as fast as it likes within all limits."""
     course = terrain.course
-    surface = body_surface(model, terrain)
+    surface = body_surface(model.track_length_m, terrain)
     for _ in range(12):
         drive = _drive(model, surface, course, law, duration_s)
         over = exceeded_limits(model, drive, margin=0.9)
@@ -110,37 +110,6 @@ def exceeded_limits(model: RobotModel, drive: Drive, margin: float = 1.0) -> lis
         "max_turn_acceleration_dps2": np.degrees(np.abs(np.diff(drive.rate, axis=0)).max() / step),
     }
     return [name for name, value in largest.items() if value > margin * getattr(model, name)]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BodySurface:
-    """A cubic B-spline S(x, y): coefficients [ny, nx] on a grid of `step_m` from (x0_m, y0_m). Twice differentiable."""
-
-    coefficients: Array
-    x0_m: float
-    y0_m: float
-    step_m: float
-
-    def height(self, x: float, y: float) -> float:
-        """S(x, y)."""
-        return float(_surface(self.coefficients, self.x0_m, self.y0_m, self.step_m, x, y)[0])
-
-
-def body_surface(model: RobotModel, terrain: Terrain) -> BodySurface:
-    """The terrain's top, low-passed over the tracks' footprint."""
-    ny, nx = terrain.heights.shape
-    course = terrain.course
-    reach = course.reach_m
-    low_x = max(terrain.x0_m, course.x_m - reach)
-    low_y = max(terrain.y0_m, course.y_m - reach)
-    high_x = min(terrain.x0_m + (nx - 1) * terrain.cell_m, course.x_m + reach)
-    high_y = min(terrain.y0_m + (ny - 1) * terrain.cell_m, course.y_m + reach)
-    x = np.arange(low_x, high_x, SURFACE_STEP_M)
-    y = np.arange(low_y, high_y, SURFACE_STEP_M)
-    top = terrain.height(*np.meshgrid(x, y))
-    return BodySurface(
-        smoothed(top, model.track_length_m / 3.0 / SURFACE_STEP_M), float(x[0]), float(y[0]), SURFACE_STEP_M
-    )
 
 
 def motion_profile(t_s: Array, duration_s: float, course: Course) -> tuple[Array, Array]:
@@ -264,40 +233,6 @@ def _gravity_in_body(pose: Array) -> Array:
 
 
 @compiled
-def _surface(
-    c: Array, x0: float, y0: float, step: float, x: float, y: float
-) -> tuple[float, float, float, float, float, float]:
-    """S, dS/dx, dS/dy, d2S/dx2, d2S/dxdy, d2S/dy2 of the cubic B-spline."""
-    u = (x - x0) / step
-    w = (y - y0) / step
-    ix = min(max(floor(u), 1), c.shape[1] - 3)
-    iy = min(max(floor(w), 1), c.shape[0] - 3)
-    u -= ix
-    w -= iy
-    bx = ((1 - u) ** 3 / 6, (3 * u**3 - 6 * u**2 + 4) / 6, (-3 * u**3 + 3 * u**2 + 3 * u + 1) / 6, u**3 / 6)
-    by = ((1 - w) ** 3 / 6, (3 * w**3 - 6 * w**2 + 4) / 6, (-3 * w**3 + 3 * w**2 + 3 * w + 1) / 6, w**3 / 6)
-    dbx = (-((1 - u) ** 2) / 2, (3 * u**2 - 4 * u) / 2, (-3 * u**2 + 2 * u + 1) / 2, u**2 / 2)
-    dby = (-((1 - w) ** 2) / 2, (3 * w**2 - 4 * w) / 2, (-3 * w**2 + 2 * w + 1) / 2, w**2 / 2)
-    ddbx = (1 - u, 3 * u - 2, 1 - 3 * u, u)
-    ddby = (1 - w, 3 * w - 2, 1 - 3 * w, w)
-    s, sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(4):
-        row, d_row, dd_row = 0.0, 0.0, 0.0
-        for j in range(4):
-            value = c[iy - 1 + i, ix - 1 + j]
-            row += bx[j] * value
-            d_row += dbx[j] * value
-            dd_row += ddbx[j] * value
-        s += by[i] * row
-        sx += by[i] * d_row
-        sy += dby[i] * row
-        sxx += by[i] * dd_row
-        sxy += dby[i] * d_row
-        syy += ddby[i] * row
-    return s, sx / step, sy / step, sxx / step**2, sxy / step**2, syy / step**2
-
-
-@compiled
 def _curvature(path: Array, s: float) -> float:
     """Of the course after s metres: a weave, and a smooth entry into the circle."""
     u = min(max(s - path[0], 0.0), 1.0)
@@ -348,7 +283,7 @@ def _motion(
 ) -> None:
     """Derivatives of the state [travelled, x, y, z, yaw, three turned angles]; roll and pitch into `attitude`."""
     yaw = state[4]
-    _, sx, sy, sxx, sxy, syy = _surface(c, x0, y0, step, state[1], state[2])
+    _, sx, sy, sxx, sxy, syy = surface_at(c, x0, y0, step, state[1], state[2])
     cy, sn = cos(yaw), sin(yaw)
     a = -(cy * sx + sn * sy)
     b = sn * sx - cy * sy

@@ -14,7 +14,7 @@ Times are true nanoseconds on the host's clock; the drive begins when `begin_dri
 stands still.
 """
 
-from math import cos, inf, isinf, radians, sin
+from math import radians
 
 import numpy as np
 import pymap3d
@@ -23,9 +23,10 @@ from numpy.typing import NDArray
 from drivers.compiled import compiled
 from drivers.config import DevicesConfig, GpsConfig
 from drivers.samples import Vector3
-from simulator.errors import ErrorLaw, chance, draw, wander
-from simulator.raycast import cast_rays
+from simulator.errors import ErrorLaw, draw, wander
+from simulator.motion_rows import between, hermite
 from simulator.robot import STEP_NS, RobotModel, plan_drive, rotations
+from simulator.shots import shoot
 from simulator.terrain import Terrain
 from simulator.truth import Truth
 
@@ -142,7 +143,7 @@ class World:
 
     def pose(self, t_ns: int) -> Array:
         """[6] true pose in the world frame."""
-        return _between(self.drive.pose, self._into_drive(t_ns))
+        return between(self.drive.pose, self._into_drive(t_ns))
 
     # What the devices ask for.
 
@@ -153,7 +154,7 @@ class World:
         hits = np.empty((times.size, 3))
         terrain, laser = self.terrain, self.devices.laser
         drive_start = self._drive_start_ns if self._drive_start_ns is not None else int(times.max())
-        _shoot(
+        shoot(
             self.drive.pose,
             times - drive_start,
             times - self.start_ns,
@@ -184,7 +185,7 @@ class World:
 
     def count(self, t_ns: int) -> tuple[float, float]:
         """Fractional ticks of the left and right track counters."""
-        left, right = _between(self.drive.tracks, self._into_drive(t_ns))
+        left, right = between(self.drive.tracks, self._into_drive(t_ns))
         encoders = self.devices.encoders
         return float(left) / encoders.left_metres_per_tick, float(right) / encoders.right_metres_per_tick
 
@@ -236,8 +237,8 @@ class World:
             return None
         into, since = self._into_drive(t_ns), t_ns - self.start_ns
         lever = np.array([gps.antenna_x_m, gps.antenna_y_m, gps.antenna_z_m])
-        swing = rotations(self.pose(t_ns)[np.newaxis])[0] @ np.cross(_between(self.drive.rate, into), lever)
-        east, north = (_between(self.drive.velocity, into) + swing)[:2]
+        swing = rotations(self.pose(t_ns)[np.newaxis])[0] @ np.cross(between(self.drive.rate, into), lever)
+        east, north = (between(self.drive.velocity, into) + swing)[:2]
         bound = max(gps.velocity_bound_mps - NMEA_STEP_VELOCITY_MPS, 0.0)
         return float(east + bound * self._course[0].at(since)), float(north + bound * self._course[1].at(since))
 
@@ -280,33 +281,11 @@ def _fix_bound(gps: GpsConfig, sigma_m: tuple[float, float, float]) -> tuple[flo
 
 
 @compiled
-def _between(rows: Array, t_ns: int) -> Array:
-    """Row of a 1 kHz table at t_ns after its first one, linear in between, constant beyond its ends."""
-    i = min(max(t_ns // STEP_NS, 0), rows.shape[0] - 2)
-    part = min(max((t_ns - i * STEP_NS) / STEP_NS, 0.0), 1.0)
-    row: Array = rows[i] + part * (rows[i + 1] - rows[i])
-    return row
-
-
-@compiled
-def _hermite(values: Array, slopes: Array, t_ns: int) -> Array:
-    """Row of a 1 kHz table with known derivatives (per second) at t_ns, constant beyond its ends."""
-    i = min(max(t_ns // STEP_NS, 0), values.shape[0] - 2)
-    u = min(max((t_ns - i * STEP_NS) / STEP_NS, 0.0), 1.0)
-    h = STEP_NS * 1e-9
-    rise = u * u * (3.0 - 2.0 * u)
-    begin = h * u * (1.0 - u) ** 2
-    end = -h * u * u * (1.0 - u)
-    row: Array = values[i] + rise * (values[i + 1] - values[i]) + begin * slopes[i] + end * slopes[i + 1]
-    return row
-
-
-@compiled
 def _two_readings(
     rows: Array, column: int, t_ns: int, since_ns: int, law: int, first_key: int, second_key: int, bound: float
 ) -> tuple[float, float]:
     """Two neighbouring columns of a 1 kHz table, each with an error within `bound`."""
-    row = _between(rows, t_ns)
+    row = between(rows, t_ns)
     first, second = draw(law, first_key, since_ns), draw(law, second_key, since_ns)
     return row[column] + bound * first, row[column + 1] + bound * second
 
@@ -327,68 +306,9 @@ def _mean_rates(
     noise: float,
 ) -> Vector3:
     """Mean body rates between two times of the drive; keys [3, 2] of bias and noise, gain [3] is 1 + scale error."""
-    angles = _hermite(turned, rates, t1_ns) - _hermite(turned, rates, t0_ns)
+    angles = hermite(turned, rates, t1_ns) - hermite(turned, rates, t0_ns)
     for axis in range(3):
         bias = wander(law, keys[axis, 0], since_ns, bias_bound, bias_drift)
         jitter = noise * draw(law, keys[axis, 1], since_ns)
         angles[axis] = angles[axis] / seconds * gain[axis] + bias + jitter
     return angles[0], angles[1], angles[2]
-
-
-@compiled
-def _shoot(
-    poses: Array,
-    into_drive_ns: NDArray[np.int64],
-    since_start_ns: NDArray[np.int64],
-    angles: Array,
-    mount: Array,
-    mount_rotation: Array,
-    heights: Array,
-    x0: float,
-    y0: float,
-    cell: float,
-    boxes: Array,
-    range_max: float,
-    law: int,
-    range_key: int,
-    range_bound: float,
-    angle_key: int,
-    angle_bound: float,
-    lost: float,
-    echo_key: int,
-    ranges: Array,
-    hits: Array,
-) -> None:
-    """Cast every beam from the true pose at its own time; `ranges` as reported, `hits` as they truly are."""
-    count = angles.size
-    origins = np.empty((count, 3))
-    directions = np.empty((count, 3))
-    for i in range(count):
-        pose = _between(poses, into_drive_ns[i])
-        cr, sr = cos(pose[3]), sin(pose[3])
-        cp, sp = cos(pose[4]), sin(pose[4])
-        cy, sy = cos(pose[5]), sin(pose[5])
-        angle = angles[i] + angle_bound * draw(law, angle_key, since_start_ns[i])
-        ahead, left = cos(angle), sin(angle)
-        for vector in range(2):
-            if vector == 0:
-                bx, by, bz = mount[0], mount[1], mount[2]
-            else:
-                bx = mount_rotation[0, 0] * ahead + mount_rotation[0, 1] * left
-                by = mount_rotation[1, 0] * ahead + mount_rotation[1, 1] * left
-                bz = mount_rotation[2, 0] * ahead + mount_rotation[2, 1] * left
-            wx = cy * cp * bx + (cy * sp * sr - sy * cr) * by + (cy * sp * cr + sy * sr) * bz
-            wy = sy * cp * bx + (sy * sp * sr + cy * cr) * by + (sy * sp * cr - cy * sr) * bz
-            wz = -sp * bx + cp * sr * by + cp * cr * bz
-            if vector == 0:
-                origins[i, 0], origins[i, 1], origins[i, 2] = pose[0] + wx, pose[1] + wy, pose[2] + wz
-            else:
-                directions[i, 0], directions[i, 1], directions[i, 2] = wx, wy, wz
-    cast_rays(heights, x0, y0, cell, boxes, origins, directions, range_max, ranges)
-    for i in range(count):
-        for axis in range(3):
-            hits[i, axis] = origins[i, axis] + ranges[i] * directions[i, axis]
-        if not isinf(ranges[i]):
-            ranges[i] = max(ranges[i] + range_bound * draw(law, range_key, since_start_ns[i]), 0.0)
-        if lost > 0.0 and chance(echo_key, since_start_ns[i]) < lost:
-            ranges[i] = inf

@@ -22,11 +22,12 @@ from service.pipeline import Pipeline
 from service.publisher import MAP_FRAME
 from service.robot_model import robot_model
 from service.sample_queue import Arrival
-from simulator.emulated_robot import SLICE_NS, as_heard, emulate_devices
+from simulator.emulated_robot import SLICE_NS, emulate_devices
 from simulator.emulators.emulator import Emulator
 from simulator.errors import ErrorLaw
 from simulator.terrain import build_terrain
 from simulator.truth import Truth
+from simulator.wire import as_heard
 from simulator.world import World
 
 START_NS = 1_000_000_000_000

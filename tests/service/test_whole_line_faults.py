@@ -23,10 +23,11 @@ from service.devices import wiring
 from service.health import DeviceState
 from service.onboard import Onboard
 from service.shipped import shipped_config
-from simulator.emulated_robot import SETTLE_S, PluggedWires
+from simulator.emulated_robot import SETTLE_S
 from simulator.emulators.emulator import Emulator
 from simulator.emulators.sick_lms import SickLmsEmulator
 from simulator.truth import Truth
+from simulator.wire import PluggedWires
 
 WAIT_S = 30.0
 GAP_NS = 5_000_000

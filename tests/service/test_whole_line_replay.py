@@ -16,8 +16,8 @@ from service.commands.evaluation import PoseSets, check_bounds
 from service.commands.port_drive import PortDrive
 from service.commands.replay import replay
 from service.replay import replay as replay_directly
-from simulator.emulated_robot import as_heard
 from simulator.emulators.sick_lms import SickLmsEmulator
+from simulator.wire import as_heard
 
 SaidOnStderr = Callable[[], str]
 

@@ -19,13 +19,14 @@ from drivers.samples import Fix, InertialSample, Sample, Scan, WheelTicks
 from drivers.sick_lms.protocol import SickLmsProtocol
 from drivers.track_encoders.protocol import TrackEncoderProtocol
 from drivers.transports import open_serial
-from simulator.emulated_robot import DEVICES, Progress, Wire, run_emulated_robot
+from simulator.emulated_robot import DEVICES, Progress, run_emulated_robot
 from simulator.emulators.sick_lms import SickLmsEmulator
 from simulator.errors import ErrorLaw
 from simulator.ports import PseudoPort
 from simulator.robot import RobotModel
 from simulator.terrain import build_terrain
 from simulator.truth import Truth
+from simulator.wire import Wire
 from simulator.world import World
 
 DBC = Path(__file__).parents[2] / "docs" / "config" / "tracks.dbc"
