@@ -244,7 +244,8 @@ class Health:
     def _flowing(self, now_ns: int) -> bool:
         if self._unanswered_ns is not None and now_ns - self._unanswered_ns > FLOW_TIMEOUT_NS:
             return False
-        return all(now_ns - alive_ns <= LIFE_TIMEOUT_NS for alive_ns in self._alive_ns.values())
+        # A copy first: a reader whose thread starts late adds its name meanwhile.
+        return all(now_ns - alive_ns <= LIFE_TIMEOUT_NS for alive_ns in list(self._alive_ns.values()))
 
     def _device(self, name: str, device: _Device, now_ns: int) -> dict[str, Any]:
         """One device's row of the snapshot."""

@@ -1,6 +1,7 @@
 """Device states, rates, flow."""
 
 import json
+import sys
 import threading
 from collections import Counter
 
@@ -159,3 +160,23 @@ def test_what_a_device_says_of_itself_is_in_the_snapshot() -> None:
     assert health.snapshot(S)["devices"]["laser"]["findings"] == []
     findings.append("the scanner's window is dirty: clean it")
     assert health.snapshot(S)["devices"]["laser"]["findings"] == ["the scanner's window is dirty: clean it"]
+
+
+def test_readers_may_start_while_others_ask() -> None:
+    """On a busy machine a reader's thread begins late: whoever asks at that moment gets an answer all the same."""
+    health, names = Health(), [f"device {number}" for number in range(20_000)]
+
+    def begin() -> None:
+        for name in names:
+            health.alive(name, S)
+
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        starter = threading.Thread(target=begin)
+        starter.start()
+        while starter.is_alive():
+            assert health.flowing(S)
+    finally:
+        sys.setswitchinterval(interval)
+        starter.join()
