@@ -48,7 +48,8 @@ READ_ALLOWANCE_NS = 6_000_000
 """An idle reader looks at its port every 4 ms and takes a little to wake up."""
 
 
-MirrorPhaseMs = Annotated[tuple[float, float], AfterValidator(_rising)]
+_Turns = Annotated[float, Field(ge=-1000, le=1000)]
+MirrorPhaseMs = Annotated[tuple[_Turns, _Turns], AfterValidator(_rising)]
 
 
 def latency_ns(latency_ms: tuple[float, float]) -> tuple[int, int]:

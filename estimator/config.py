@@ -49,7 +49,7 @@ class FilterConfig:
     """What x, y and yaw are kept as: boxes and a window of fixes, the tighter one; or the paper's ellipsoid."""
     reordering_window_ms: Annotated[float, Field(gt=0, le=60_000)] = 100.0
     """Samples are taken in the order of their stamps inside this window; later ones are dropped and counted."""
-    standstill_s: Positive | None = None
+    standstill_s: Annotated[float, Field(gt=0, le=60)] | None = None
     """Tracks without a tick for this long before and after: the owner vouches that the robot stands. None: never."""
     standstill_rate_dps: NotNegative | None = None
     """... and that no body rate exceeds this then (vibration). Declared together with standstill_s."""

@@ -46,6 +46,9 @@ class StoreConfig:
     """How many maps of earlier runs, each in its own frame, are published beside the present one."""
 
 
+MOST_LATENCY_MS = 60_000.0
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Config:
     """Everything an owner declares."""
@@ -59,13 +62,18 @@ class Config:
     store: StoreConfig = field(default_factory=StoreConfig)
 
     @model_validator(mode="after")
-    def _each_device_has_its_port(self) -> Self:
+    def _each_device_can_be_used(self) -> Self:
         taken: dict[str, str] = {}
         for entry in fields(self.devices):
             device = getattr(self.devices, entry.name)
             if device is None:
                 continue
             key = f"devices.{entry.name}.port"
+            if device.latency_ms[1] > MOST_LATENCY_MS:
+                raise ValueError(
+                    f"devices.{entry.name}.latency_ms: {device.latency_ms[1]:g} should be at most {MOST_LATENCY_MS:g} "
+                    "(milliseconds); no reading can be used that late"
+                )
             if not device.port:
                 raise ValueError(f"{key}: is empty; name the port that the device is on")
             if (other := taken.setdefault(device.port, key)) != key:

@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import AfterValidator, Field
 from pydantic.dataclasses import dataclass
 
-from drivers.config import STRICT, Positive
+from drivers.config import STRICT
 
 _WITH_PORT = re.compile(r"(?:tcp|udp|tls|quic|ws)/[^\s/]+:([0-9]{1,5})(?:[?#].*)?")
 _OTHER = re.compile(r"(?!tcp/|udp/|tls/|quic/|ws/)[a-z][a-z0-9_-]*/\S+")
@@ -22,6 +22,7 @@ def _address(value: str) -> str:
 
 
 Address = Annotated[str, AfterValidator(_address)]
+Period = Annotated[float, Field(gt=0, le=3600)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -32,10 +33,10 @@ class PublishConfig:
     """Zenoh addresses at which subscribers connect, as tcp/0.0.0.0:7447."""
     connect: Sequence[Address] = ()
     """Zenoh routers to connect to."""
-    digest_period_s: Positive = 1.0
+    digest_period_s: Period = 1.0
     """How often subscribers learn what they may have missed."""
     pose_rate_hz: Annotated[float, Field(gt=0, le=1000)] = 10.0
-    health_period_s: Positive = 1.0
+    health_period_s: Period = 1.0
     max_bytes_per_s: Annotated[float, Field(ge=10_000)] = 10e6
     """Tiles and answers together stay below this: set it below what the radio carries."""
     multicast: bool = False

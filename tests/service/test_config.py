@@ -62,6 +62,10 @@ def test_all_mistakes_come_at_once() -> None:
         ),
         ('port = "ports/imu"', 'port = ""', "devices.imu.port"),
         ("left_metres_per_tick = 0.0002", "left_metres_per_tick = 0.0", "devices.encoders.left_metres_per_tick"),
+        ("latency_ms = [38.0, 50.0]", "latency_ms = [38.0, 1e15]", "devices.gps.latency_ms: 1e+15 should be at most"),
+        ("mirror_phase_ms = [0.0, 0.0]", "mirror_phase_ms = [0.0, 1e15]", "devices.laser.mirror_phase_ms.1"),
+        ("standstill_s = 0.5 ", "standstill_s = 1e9 ", "filter.standstill_s"),
+        ("[publish]", "[publish]\ndigest_period_s = 1e300", "publish.digest_period_s"),
         ("gyro_scale_bound = 0.002", "gyro_scale_bound = 2.0", "devices.imu.gyro_scale_bound"),  # meant in percent
         ("clock_drift_ppm = 50.0", "clock_drift_ppm = 1e6", "devices.imu.clock_drift_ppm"),
         ("\nslip_ratio = 0.02", "\nslip_ratio = 2.0", "robot.slip_ratio"),
