@@ -7,14 +7,23 @@ y left, z up; origin on the ground below the robot's centre).
 
 from dataclasses import dataclass
 from math import nan
-from typing import TypeAlias
+from typing import Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 
+class Frozen:
+    """What never changes is its own copy."""
+
+    __slots__ = ()
+
+    def __deepcopy__(self, memo: dict[int, object]) -> Self:
+        return self
+
+
 @dataclass(frozen=True, slots=True)
-class Stamp:
+class Stamp(Frozen):
     """When something was acquired: surely not before `earliest_ns` and not after `latest_ns` (host monotonic)."""
 
     earliest_ns: int
@@ -55,7 +64,7 @@ class Scan:
 
 
 @dataclass(frozen=True, slots=True)
-class WheelTicks:
+class WheelTicks(Frozen):
     """Track counters, unwrapped: they grow without end while the robot drives forward."""
 
     stamp: Stamp
@@ -70,7 +79,7 @@ ABSENT3: Vector3 = (nan, nan, nan)
 
 
 @dataclass(frozen=True, slots=True)
-class InertialSample:
+class InertialSample(Frozen):
     """One inertial packet; axes the device does not measure are NaN. All axes are of base_link."""
 
     stamp: Stamp
@@ -90,7 +99,7 @@ class InertialSample:
 
 
 @dataclass(frozen=True, slots=True)
-class Fix:
+class Fix(Frozen):
     """Where the GPS antenna was: WGS-84, with a declared half-width along each local axis."""
 
     stamp: Stamp

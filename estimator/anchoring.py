@@ -5,17 +5,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.compiled import compiled
 from drivers.config import GpsConfig
 from drivers.samples import Fix
-from estimator.attitude import UNKNOWN_YAW, AttitudeChain, radians_of
+from estimator.antenna_offset import antenna_offsets
+from estimator.attitude import AttitudeChain, radians_of
 from estimator.bounded_pose import Anchor
 from estimator.geodesy import TangentPlane
 from estimator.ground_velocity import off_mean, way_along, yaw_by_velocity
 from estimator.inconsistency import Journal, least_excess
-from estimator.interval import down, is_empty, meet, up
-from estimator.observations import anchored, anchored_by_all, lever, nearest_copy, tied
+from estimator.interval import add, down, is_empty, meet, sub, up
+from estimator.motion import UNKNOWN_YAW
+from estimator.observations import anchored, anchored_by_all, nearest_copy, tied
 from estimator.position import ANYWHERE_M, EARTH, MAP, PositionChain
-from estimator.travelled import travelled_along, travelled_since
 
 REMEMBERED = 24
 """Early fixes that are applied to the anchor again and again."""
@@ -73,8 +75,13 @@ class Anchoring:
             return
         if self._plane is None:
             self._plane = TangentPlane(fix.lat_deg, fix.lon_deg, fix.alt_m)
-        antenna, offset = self._plane.antenna(fix), self._offset(i, j, a, b)
-        in_map = self._offset_in_map(i, j, a, b)
+        antenna = self._plane.antenna(fix)
+        offset, in_map = np.empty((3, 2)), np.empty((3, 2))
+        """From base_link now to the antenna then: along the newest heading, and along the map's axes."""
+        antenna_offsets(
+            self._arm, i, j, n, places.net, places.swing, places.heading, places.local, a, b, turns.newest, turns.box,
+            turns.swing, turns.heading, self._attitude.bias_since(a), offset, in_map,
+        )  # fmt: skip
 
         def narrowed(wider: float) -> Narrowed | None:
             now = Narrowed(
@@ -94,28 +101,6 @@ class Anchoring:
         self._remember(now, in_map)
         self._anchor, self._points = now.anchor, now.points
         self._position.remember()
-
-    def _offset(self, i: int, j: int, a: int, b: int) -> NDArray[np.float64]:
-        """[3, 2] from base_link now to the antenna then, along the newest heading.
-
-        The fix lies between the position nodes i and j, and the gyro nodes a and b.
-        """
-        places, turns = self._position.tube, self._attitude.tube
-        newest = turns.newest
-        attitude, arm = turns.hull(a, b)[:3], np.empty((3, 2))
-        attitude[2] = self._attitude.yaw_between(a, b, newest)
-        lever(attitude, self._arm, arm)
-        since = travelled_along(
-            turns.heading[newest], self._attitude.bias_since(a), places.heading, places.local, i, j, places.newest
-        )
-        return _outward(arm[:, 0] - since[:, 1], arm[:, 1] - since[:, 0])
-
-    def _offset_in_map(self, i: int, j: int, a: int, b: int) -> NDArray[np.float64]:
-        """The same along the map's axes."""
-        places, arm = self._position.tube, np.empty((3, 2))
-        lever(self._attitude.tube.hull(a, b), self._arm, arm)
-        since = travelled_since(places.net, places.swing, i, j, places.newest)
-        return _outward(arm[:, 0] - since[:, 1], arm[:, 1] - since[:, 0])
 
     def _along(self, now: Narrowed, fix: Fix, i: int, j: int, wider: float) -> bool:
         """Contract yaw on Earth by the fix's velocity, which is between the position nodes i and j."""
@@ -156,23 +141,15 @@ class Anchoring:
 
     def _in_map(self, now: Narrowed, offset: NDArray[np.float64]) -> bool:
         """antenna = t + Rz(Ψ)(p(τ) + R arm), by this fix and those of the beginning: contract place and anchor."""
-        here = now.box[MAP]
-        point = _outward(here[:, 0] + offset[:, 0], here[:, 1] + offset[:, 1])
-        if not anchored_by_all(self._antennas, now.points, self._remembered, now.anchor):
-            return False
-        if not anchored(now.antenna, now.anchor, point):
-            return False
-        seen = _outward(point[:, 0] - offset[:, 1], point[:, 1] - offset[:, 0])
-        here[:, 0], here[:, 1] = np.maximum(here[:, 0], seen[:, 0]), np.minimum(here[:, 1], seen[:, 1])
-        return bool(np.all(here[:, 0] <= here[:, 1]))
+        return in_the_map(self._antennas, now.points, self._remembered, now.anchor, now.antenna, offset, now.box[MAP])
 
     def _remember(self, now: Narrowed, offset: NDArray[np.float64]) -> None:
         """Keep the first fixes for later: where the robot stood at first, then one every little way."""
         k = self._remembered
         if k == REMEMBERED:
             return
-        here = now.box[MAP]
-        point = _outward(here[:, 0] + offset[:, 0], here[:, 1] + offset[:, 1])
+        point = np.empty((3, 2))
+        plus(now.box[MAP], offset, point)
         if k >= STANDING_FIXES:
             way = np.abs(np.mean(point - now.points[k - 1], axis=1))
             if max(way[0], way[1]) < REMEMBER_EVERY_M:
@@ -196,6 +173,33 @@ class Anchoring:
         return Anchor(plane.lat_deg, plane.lon_deg, plane.alt_m, low, high)
 
 
-def _outward(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
-    """[n, 2] intervals from their rounded ends."""
-    return np.stack([np.nextafter(low, -np.inf), np.nextafter(high, np.inf)], axis=1)
+@compiled
+def in_the_map(
+    antennas: NDArray[np.float64],
+    points: NDArray[np.float64],
+    remembered: int,
+    anchor: NDArray[np.float64],
+    antenna: NDArray[np.float64],
+    offset: NDArray[np.float64],
+    here: NDArray[np.float64],
+) -> bool:
+    """Contract the place `here` [3, 2] in the map and the anchor [4, 2] by the remembered fixes and this one."""
+    if not anchored_by_all(antennas, points, remembered, anchor):
+        return False
+    point = np.empty((3, 2))
+    plus(here, offset, point)
+    if not anchored(antenna, anchor, point):
+        return False
+    for c in range(3):
+        seen = meet((here[c, 0], here[c, 1]), sub((point[c, 0], point[c, 1]), (offset[c, 0], offset[c, 1])))
+        if is_empty(seen):
+            return False
+        here[c, 0], here[c, 1] = seen
+    return True
+
+
+@compiled
+def plus(a: NDArray[np.float64], b: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+    """out = a + b, intervals [3, 2]."""
+    for c in range(3):
+        out[c, 0], out[c, 1] = add((a[c, 0], a[c, 1]), (b[c, 0], b[c, 1]))

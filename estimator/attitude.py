@@ -12,31 +12,24 @@ from drivers.compiled import compiled
 from drivers.config import ImuConfig
 from drivers.samples import InertialSample, Stamp, Vector3
 from estimator.config import FilterConfig, RobotConfig
-from estimator.gyro_packets import Effort, GyroPackets, Packet
+from estimator.gyro_packets import BEGAN_NS, EARLIEST_NS, LATEST_NS, REMEMBERED, GyroPackets, board_clock
+from estimator.gyro_step import CONTRADICTS, DONE, LOST_YAW, MUST_WAIT, TOO_EARLY, gyro_step, tilt_step
 from estimator.inconsistency import Journal, least_excess
 from estimator.interval import Interval, add, down, is_empty, mag, meet, up, widen
 from estimator.motion import (
     QUANTUM,
     STEEPEST,
+    UNKNOWN_TILT,
+    UNKNOWN_YAW,
     GyroBounds,
     aged_bias,
     excursion,
     relative_yaw,
     relative_yaw_between,
-    rotate,
-    turn,
 )
-from estimator.observations import contract_tilt
 from estimator.tube import Tube
 
-UNKNOWN_TILT = 1.5707963267948968
-"""Roll and pitch are taken to stay within 90 degrees."""
-UNKNOWN_YAW = 3.1415926535897936
 MAP_YAW, EARTH_YAW = 2, 3
-LOST_YAW = 10.0
-"""Added to the heading's error where a turn could not be enclosed (rad)."""
-DONE, CONTRADICTS = 0, 1
-"""What contract_tilt says."""
 LONGEST_BRIDGE_NS = 50_000_000
 """The first encoder reading may come this long before the first gyro packet; else a later one begins the map."""
 
@@ -67,6 +60,8 @@ class AttitudeChain:
         self.tube = Tube(int(config.history_s * 1e9), coordinates=4)
         self.packets = GyroPackets(imu.clock_drift_ppm, journal)
         self.bias = np.array([[-self.gyro.most_bias, self.gyro.most_bias]] * 3)
+        self._newest: InertialSample | None = None
+        """The one whose gyro packet is the newest."""
         self.level = False
         """Is the newest attitude a verified box?"""
         self.zeroed = False
@@ -76,20 +71,30 @@ class AttitudeChain:
 
     def predict(self, sample: InertialSample) -> None:
         """rotate -> turn: one node further, at the true time of this gyro packet."""
-        if not self.packets.fits(sample):
+        packets, tube, stamp, was_level = self.packets, self.tube, sample.stamp, self.level
+        if not packets.heard(sample):
             return
-        if not len(self.packets):
+        if not len(packets):
             self._begin(sample)
             return
-        elapsed, tube, was_level = self.packets.elapsed(sample), self.tube, self.level
-        i = tube.push(elapsed.stamp.earliest_ns, elapsed.stamp.latest_ns)
-        sound, self.level, effort = turn_node(
-            i, sample.gyro_rps, elapsed.least_s, elapsed.most_s, elapsed.gap, was_level, tuple(self.gyro), self.bias,
-            tube.box, tube.swing, tube.net, tube.heading, tube.effort,
+        i = tube.room(stamp.earliest_ns)
+        device_us, resolution_us = board_clock(sample)
+        newer, sound, self.level, lost, clock_off_s = gyro_step(
+            i, tube.begin, stamp.earliest_ns, stamp.latest_ns, sample.epoch, device_us, resolution_us, sample.gyro_rps,
+            packets.end - 1, packets.numbers, packets.rates, packets.learnt, packets.drift, was_level, tuple(self.gyro),
+            self.bias, tube.times, tube.box, tube.swing, tube.net, tube.heading, tube.effort,
         )  # fmt: skip
-        self.packets.append(sample, elapsed.stamp, effort)
+        if clock_off_s > 0.0:
+            self._journal.report("imu_clock", stamp.mid_ns, clock_off_s, "s")
+        if not newer:
+            self._journal.counts["gyro_out_of_order"] += 1
+            return
+        self._newest, tube.end = sample, i + 1
+        packets.appended()
+        if lost:
+            self._journal.counts["gyro_gaps"] += 1
         if not sound:
-            self._journal.report("gyro", sample.stamp.mid_ns, self._too_fast(sample.gyro_rps), "rad/s")
+            self._journal.report("gyro", stamp.mid_ns, self._too_fast(sample.gyro_rps), "rad/s")
         if was_level and not self.level:
             self._journal.counts["attitude_lost"] += 1
 
@@ -104,7 +109,7 @@ class AttitudeChain:
         self.tube.effort[i] = 1
         self.tube.box[i, :2] = -UNKNOWN_TILT, UNKNOWN_TILT
         self.tube.box[i, 2:] = -UNKNOWN_YAW, UNKNOWN_YAW
-        self.packets.append(sample, sample.stamp, (1, 1, 1))
+        self.packets.begin_with(sample)
 
     def bias_since(self, node: int) -> Interval:
         """Bias of ω_z at any time from a node on."""
@@ -124,47 +129,40 @@ class AttitudeChain:
 
         Between the reading and the node the angles move no further than the variation of the rates allows.
         """
-        around = self.packets.around(sample)
-        if around is None:
-            return False
-        earlier, newest = around
-        if earlier is None:
-            self._journal.counts["tilt_too_early"] += 1
-            return True
+        if sample is self._newest and sample.device_time_us is not None:
+            return False  # as tilt_step would find: by one clock neither is surely not before the other
         i = self.tube.newest
-        outcome = self._contract(self.tube.box[i], sample, earlier, newest, 0.0, 0.0)
-        if outcome == CONTRADICTS:
-            self._report_tilt(sample, earlier, newest)
-        if outcome != DONE:
-            return True
-        if not self.level:
-            self.level = True
-            if not self.zeroed:
-                self._look_back(i)
+        outcome = self._contract(self.tube.box[i], sample, 0.0, 0.0)
+        if outcome == MUST_WAIT:
+            return False
+        if outcome == DONE:
+            if not self.level:
+                self.level = True
+                if not self.zeroed:
+                    self._look_back(i)
+        elif outcome == CONTRADICTS:
+            self._report_tilt(sample)
+        elif outcome == TOO_EARLY:
+            self._journal.counts["tilt_too_early"] += 1
         return True
 
-    def _contract(
-        self,
-        box: NDArray[np.float64],
-        sample: InertialSample,
-        earlier: Packet,
-        newest: Packet,
-        tilt_wider: float,
-        accel_wider: float,
-    ) -> int:
-        """Roll and pitch of box [c, 2], by a reading whose bounds are as much wider; what contract_tilt says."""
-        return contract_tilt(
-            box, self.level, *sample.tilt_rad, self._tilt_bound + tilt_wider, *sample.accel_mps2[:2],
-            self._accel_bound + accel_wider, newest.effort, earlier.effort,
+    def _contract(self, box: NDArray[np.float64], sample: InertialSample, tilt_wider: float, accel_wider: float) -> int:
+        """Roll and pitch of box [c, 2], by a reading whose bounds are as much wider; what tilt_step says."""
+        packets, stamp, (ahead, left, _) = self.packets, sample.stamp, sample.accel_mps2
+        device_us, resolution_us = board_clock(sample)
+        return tilt_step(
+            box, self.level, sample.tilt_rad, self._tilt_bound + tilt_wider, ahead, left,
+            self._accel_bound + accel_wider, stamp.earliest_ns, stamp.latest_ns, sample.epoch, device_us, resolution_us,
+            packets.numbers, packets.begin, packets.end,
         )  # fmt: skip
 
-    def _report_tilt(self, sample: InertialSample, earlier: Packet, newest: Packet) -> None:
+    def _report_tilt(self, sample: InertialSample) -> None:
         """By how much the reading is off."""
         by_tilt, box = not all(map(isnan, sample.tilt_rad)), self.tube.box[self.tube.newest]
 
         def agrees(wider: float) -> bool:
             bounds = (wider, 0.0) if by_tilt else (0.0, wider)
-            return self._contract(box.copy(), sample, earlier, newest, *bounds) != CONTRADICTS
+            return self._contract(box.copy(), sample, *bounds) != CONTRADICTS
 
         sensor, unit = ("tilt", "rad") if by_tilt else ("accelerometer", "m/s^2")
         self._journal.report(sensor, sample.stamp.mid_ns, least_excess(agrees, 1e-3), unit)
@@ -223,26 +221,14 @@ class AttitudeChain:
 
     def learn_bias(self, begin_ns: int, end_ns: int, used_until_ns: int) -> None:
         """The robot stood still: what packets of [begin, end] measured since the last call was bias."""
-        for packet in reversed(self.packets):
-            if packet.began_ns < begin_ns or packet.stamp.latest_ns <= used_until_ns:
-                break
-            if packet.stamp.latest_ns <= end_ns:
-                self._correct_bias(packet)
-
-    def _correct_bias(self, packet: Packet) -> None:
-        """bias = measured - true ± noise ± scale |true|, some time ago: wider by the drift since then."""
-        age = (self.packets[-1].stamp.latest_ns - packet.began_ns) * 1e-9
-        error = self.gyro.noise + self._still_rate * (1.0 + self.gyro.scale) + self.gyro.scale * self.gyro.most_bias
-        error = up(up(error + up(self.gyro.bias_drift * age)) * (1.0 + 1e-12))
-        for axis, rate in enumerate(packet.rate):
-            if isnan(rate):
-                continue
-            narrowed = meet((self.bias[axis, 0], self.bias[axis, 1]), widen((rate, rate), error))
-            if is_empty(narrowed):
-                off = max(0.0, narrowed[0] - narrowed[1])
-                self._journal.report("gyro", packet.stamp.mid_ns, off, "rad/s")
-            else:
-                self.bias[axis] = narrowed
+        packets, gyro = self.packets, self.gyro
+        error = gyro.noise + self._still_rate * (1.0 + gyro.scale) + gyro.scale * gyro.most_bias
+        off, off_ns = bias_at_rest(
+            packets.numbers, packets.rates, packets.begin, packets.end, begin_ns, end_ns, used_until_ns, error,
+            gyro.bias_drift, self.bias,
+        )  # fmt: skip
+        if off_ns:
+            self._journal.report("gyro", off_ns, off, "rad/s")
 
     def join(self, other: "AttitudeChain") -> None:
         """Grow to the hull of both chains, which have the same newest nodes; yaw before is not related to yaw after."""
@@ -253,8 +239,7 @@ class AttitudeChain:
         self.level = self.level and other.level
         self.tube.heading[self.tube.end - k : self.tube.end, 2] += LOST_YAW * np.arange(1, k + 1)
         if len(self.packets):
-            roll, pitch, yaw = self.tube.effort[self.tube.newest].tolist()
-            self.packets.begin_anew((roll, pitch, yaw))
+            self.packets.begin_anew(self.tube.effort[self.tube.newest])
 
     # ---------------------------------------------------------------- the beginning
 
@@ -267,7 +252,8 @@ class AttitudeChain:
         oldest = int(tube.times[tube.begin, 1])
         if stamp.earliest_ns < oldest:
             moved = self._journal.counts["encoders_before_attitude"] > 0
-            if moved or oldest - stamp.earliest_ns > LONGEST_BRIDGE_NS or len(self.packets) < 2:
+            known = 2 <= len(self.packets) == len(tube)  # so that the second packet is the second node
+            if moved or oldest - stamp.earliest_ns > LONGEST_BRIDGE_NS or not known:
                 self._journal.counts["encoders_before_attitude"] += 1
                 return None
             self._bridge(stamp.earliest_ns, oldest)
@@ -314,42 +300,41 @@ class AttitudeChain:
 
 
 @compiled
-def turn_node(
-    i: int,
-    rate: Vector3,
-    least_s: float,
-    most_s: float,
-    gap: bool,
-    level: bool,
-    bounds: tuple[float, ...],
+def bias_at_rest(
+    numbers: NDArray[np.int64],
+    rates: NDArray[np.float64],
+    begin: int,
+    end: int,
+    begin_ns: int,
+    end_ns: int,
+    used_until_ns: int,
+    error: float,
+    drift: float,
     bias: NDArray[np.float64],
-    box: NDArray[np.float64],
-    swing: NDArray[np.float64],
-    net: NDArray[np.float64],
-    heading: NDArray[np.float64],
-    effort: NDArray[np.int64],
-) -> tuple[bool, bool, Effort]:
-    """Node i of the tube from the one before: rotate -> turn, with an attitude unknown where that can't be enclosed.
+) -> tuple[float, int]:
+    """Contract bias [3, 2] by what packets in [begin_ns, end_ns], after `used_until_ns`, measured of a robot at rest.
 
-    Did no axis turn faster than declared; is the attitude a verified box, as it was before (`level`); the effort.
-    `bounds` are GyroBounds as a plain tuple, which is handed over four times as fast.
+    bias = measured ± error, some time ago: wider by the drift since then. By how much the first of them contradicts
+    it, and the middle of its stamp; else 0, 0.
     """
-    varied, plain = np.empty(3), np.empty(5)
-    measured = (float(rate[0]), float(rate[1]), float(rate[2]))
-    sound = rotate(measured, bias, least_s, most_s, gap, GyroBounds(*bounds), net[i], varied, plain)
-    for axis in range(3):
-        effort[i, axis] = effort[i - 1, axis] + int(np.ceil(varied[axis] / QUANTUM)) + 1
-    box[i], heading[i], swing[i] = box[i - 1], heading[i - 1], 0.0
-    still_level = level and turn(box[i], net[i], varied, swing[i], plain, heading[i])
-    if not still_level:
-        heading[i, 2] += LOST_YAW
-        for c in range(box.shape[1]):
-            if c < MAP_YAW:
-                box[i, c, 0], box[i, c, 1] = -UNKNOWN_TILT, UNKNOWN_TILT
-            elif level:
-                yaw = 0.5 * (box[i, c, 0] + box[i, c, 1])
-                box[i, c, 0], box[i, c, 1] = min(box[i, c, 0], yaw - UNKNOWN_YAW), max(box[i, c, 1], yaw + UNKNOWN_YAW)
-    return sound, still_level, (effort[i, 0], effort[i, 1], effort[i, 2])
+    now_ns = numbers[(end - 1) % REMEMBERED, LATEST_NS]
+    off, off_ns = 0.0, 0
+    for k in range(end - 1, begin - 1, -1):
+        packet, rate = numbers[k % REMEMBERED], rates[k % REMEMBERED]
+        if packet[BEGAN_NS] < begin_ns or packet[LATEST_NS] <= used_until_ns:
+            break
+        if packet[LATEST_NS] > end_ns:
+            continue
+        aged = up(up(error + up(drift * ((now_ns - packet[BEGAN_NS]) * 1e-9))) * (1.0 + 1e-12))
+        for axis in range(3):
+            if isnan(rate[axis]):
+                continue
+            narrowed = meet((bias[axis, 0], bias[axis, 1]), widen((rate[axis], rate[axis]), aged))
+            if not is_empty(narrowed):
+                bias[axis, 0], bias[axis, 1] = narrowed
+            elif off_ns == 0:
+                off, off_ns = max(0.0, narrowed[0] - narrowed[1]), (packet[EARLIEST_NS] + packet[LATEST_NS]) // 2
+    return off, off_ns
 
 
 def radians_of(effort: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from drivers.compiled import compiled
 from estimator.fan import DIRECTIONS, add_box, add_segment, add_turned
 from estimator.interval import mid, norm, reach, up
-from estimator.odometry_block import ROUNDING
+from estimator.odometry_block import ROUNDING, Blocks
 
 
 class Chain(NamedTuple):
@@ -36,20 +36,14 @@ class Chain(NamedTuple):
 @compiled
 def chain(
     count: int,
-    offset: NDArray[np.float64],
-    heading: NDArray[np.float64],
-    seconds: NDArray[np.float64],
-    way: NDArray[np.float64],
-    by_bias: NDArray[np.float64],
-    error: NDArray[np.float64],
-    reference: NDArray[np.float64],
+    blocks: Blocks,
     now_s: float,
     quantum: float,
     low: float,
     high: float,
     drift: float,
 ) -> Chain:
-    """SMF equations 20 and 21, for a bias in [low, high] now.
+    """SMF equations 20 and 21, for a bias in [low, high] now; the newest fix is blocks[count].
 
     A vector u turned by η = τ (b - b_c) + ν, |η| <= D, is in u (1 - κ/2) + η J u ± (κ/2 |u| + D^3/6 |J u|), κ = D^2/2;
     the errors ν of the blocks turn all that is older.
@@ -58,19 +52,21 @@ def chain(
     h = reach((low, high), b)
     q, slope, fan = np.empty((count + 1, 2)), np.zeros((count + 1, 2)), np.zeros((count + 1, DIRECTIONS))
     half = np.empty(2)
+    now = blocks[count]
     for c in range(2):
-        q[count, c] = -mid((offset[count, c, 0], offset[count, c, 1]))
-        half[c] = ROUNDING + reach((offset[count, c, 0], offset[count, c, 1]), -q[count, c])
+        q[count, c] = -mid((now.offset[c, 0], now.offset[c, 1]))
+        half[c] = ROUNDING + reach((now.offset[c, 0], now.offset[c, 1]), -q[count, c])
     add_box(fan[count], half[0], half[1])
     noise, before = np.empty(count), np.empty((count, 2))
-    w, centre, slopes, blocks = np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(DIRECTIONS)
-    block, there = np.empty(6), np.empty(6)
+    w, centre, slopes, errors = np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(DIRECTIONS)
+    moved, there = np.empty(6), np.empty(6)
     total = length = 0.0
     oldest = count
     for i in range(count - 1, -1, -1):
-        tau = heading[i, 1] - heading[count, 1]
-        aged = up(drift * up(now_s - seconds[i]))
-        rho = up(abs(heading[i + 1, 2] - heading[i, 2])) + abs(heading[i + 1, 1] - heading[i, 1]) * aged
+        block, heading, after, offset = blocks[i], blocks[i].heading, blocks[i + 1].heading, blocks[i].offset
+        tau = heading[1] - now.heading[1]
+        aged = up(drift * up(now_s - block.seconds))
+        rho = up(abs(after[2] - heading[2])) + abs(after[1] - heading[1]) * aged
         noise[i] = up(rho * 1.000001)
         before[i] = w
         total = up(total + noise[i])
@@ -78,21 +74,21 @@ def chain(
         if not spread < 1.0:
             break
         oldest = i
-        angle = heading[i, 0] - heading[count, 0] + tau * b
-        shift = b - reference[i]
-        gx, gy = by_bias[i, 0], by_bias[i, 1]
-        turn_vector(angle, tau, spread, h, way[i, 0] + gx * shift, way[i, 1] + gy * shift, gx, gy, block, blocks)
-        add_turned(blocks, error[i], angle, spread)
+        angle = heading[0] - now.heading[0] + tau * b
+        shift = b - block.reference
+        gx, gy = block.by_bias[0], block.by_bias[1]
+        turn_vector(angle, tau, spread, h, block.way[0] + gx * shift, block.way[1] + gy * shift, gx, gy, moved, errors)
+        add_turned(errors, block.error, angle, spread)
         drifted = sqrt(gx * gx + gy * gy) * aged * (1.0 + ROUNDING) + (quantum if i == count - 1 else 0.0)
-        add_box(blocks, drifted, drifted)
-        w += block[:2]
-        centre += block[2:4]
-        slopes += block[4:6]
-        length += abs(block[0]) + abs(block[1])
-        ox, oy = mid((offset[i, 0, 0], offset[i, 0, 1])), mid((offset[i, 1, 0], offset[i, 1, 1]))
-        fan[i] = blocks
+        add_box(errors, drifted, drifted)
+        w += moved[:2]
+        centre += moved[2:4]
+        slopes += moved[4:6]
+        length += abs(moved[0]) + abs(moved[1])
+        ox, oy = mid((offset[0, 0], offset[0, 1])), mid((offset[1, 0], offset[1, 1]))
+        fan[i] = errors
         turn_vector(angle, tau, spread, h, ox, oy, 0.0, 0.0, there, fan[i])
-        rest = norm((offset[i, 0, 0] - ox, offset[i, 0, 1] - ox), (offset[i, 1, 0] - oy, offset[i, 1, 1] - oy))
+        rest = norm((offset[0, 0] - ox, offset[0, 1] - ox), (offset[1, 0] - oy, offset[1, 1] - oy))
         slack = ROUNDING * (length + 1.0)
         add_box(fan[i], rest + slack, rest + slack)
         q[i] = centre - there[2:4]

@@ -1,6 +1,6 @@
 """One step of the ellipsoid over (x, y, yaw, bias): a linear map and all that it leaves out (SMF section 4, 3).
 
-x, y are the position at an encoder reading, less what is still to come of it (`motion.travel`); yaw and the bias of
+x, y are the position at an encoder reading, less what is still to come of it (`tracks.travel`); yaw and the bias of
 ω_z are those at the first gyro node after the reading. Roll, pitch and z stay intervals: the tilt sensor bounds them
 directly, and what they do to x, y and yaw enters as a remainder.
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from drivers.compiled import compiled
 from estimator.ellipsoid import Ellipsoid, half_width, image
-from estimator.frames import left_axis, up_axis
+from estimator.frames import columns as axes_of
 from estimator.interval import (
     ULP,
     Interval,
@@ -36,7 +36,7 @@ from estimator.interval import (
     up,
     widen,
 )
-from estimator.motion import Tracked
+from estimator.tracks import Tracked
 
 X, Y, YAW, BIAS = range(4)
 UNITS = np.array([1.0, 1.0, 0.2, 0.05])
@@ -112,12 +112,12 @@ def travel_ellipsoid(
     first: bool,
     kept: NDArray[np.float64],
 ) -> None:
-    """E a step further, outer: `roll` and `pitch` hold over the step, `first` as in `motion.travel`.
+    """E a step further, outer: `roll` and `pitch` hold over the step, `first` as in `tracks.travel`.
 
     sideways, normal: integrals of |lateral speed| and of |normal speed|.
 
     kept [10] is `memory`: kept[8:] becomes how far x, y of the reading can be from the ellipsoid's. The counts' errors
-    telescope as in `motion.travel`, with k + a δ in the place of its constant axis: a step costs quantum times the
+    telescope as in `tracks.travel`, with k + a δ in the place of its constant axis: a step costs quantum times the
     change of k + a δ, where δ changes by the yaw's change less the centre's.
     """
     half = half_width(e, YAW)
@@ -127,8 +127,7 @@ def travel_ellipsoid(
     slopes = np.empty(2)
     axes = forward(roughly, away, half, pitch, slopes)
     around = widen(add((roughly, roughly), away), half)
-    left = left_axis((roll, pitch, around))
-    upward = up_axis((roll, pitch, around))
+    _, left, upward = axes_of((roll, pitch, around))
     d = mid(tracked.distance)
     unsure = reach(tracked.distance, d)
     wandered = sub((kept[6], kept[7]), outward(centre - kept[4], centre - kept[4]))

@@ -26,30 +26,20 @@ Box3: TypeAlias = tuple[Interval, Interval, Interval]
 
 
 @compiled
-def forward_axis(attitude: Box3) -> Box3:
-    """First column of R, the robot's x axis in the map (SMF section 1): (cψ cθ, sψ cθ, -sθ)."""
-    ct = cosine(attitude[1])
-    return mul(cosine(attitude[2]), ct), mul(sine(attitude[2]), ct), neg(sine(attitude[1]))
+def columns(attitude: Box3) -> tuple[Box3, Box3, Box3]:
+    """R's (SMF section 1), the robot's axes in the map: ahead (cψ cθ, sψ cθ, -sθ),
 
-
-@compiled
-def left_axis(attitude: Box3) -> Box3:
-    """Second column of R: (cψ sθ sφ - sψ cφ, sψ sθ sφ + cψ cφ, cθ sφ)."""
+    left (cψ sθ sφ - sψ cφ, sψ sθ sφ + cψ cφ, cθ sφ), up (cψ sθ cφ + sψ sφ, sψ sθ cφ - cψ sφ, cθ cφ).
+    """
     sf, cf = sine(attitude[0]), cosine(attitude[0])
     st, ct = sine(attitude[1]), cosine(attitude[1])
     sp, cp = sine(attitude[2]), cosine(attitude[2])
-    stsf = mul(st, sf)
-    return sub(mul(cp, stsf), mul(sp, cf)), add(mul(sp, stsf), mul(cp, cf)), mul(ct, sf)
-
-
-@compiled
-def up_axis(attitude: Box3) -> Box3:
-    """Third column of R: (cψ sθ cφ + sψ sφ, sψ sθ cφ - cψ sφ, cθ cφ)."""
-    sf, cf = sine(attitude[0]), cosine(attitude[0])
-    st, ct = sine(attitude[1]), cosine(attitude[1])
-    sp, cp = sine(attitude[2]), cosine(attitude[2])
-    stcf = mul(st, cf)
-    return add(mul(cp, stcf), mul(sp, sf)), sub(mul(sp, stcf), mul(cp, sf)), mul(ct, cf)
+    stsf, stcf = mul(st, sf), mul(st, cf)
+    return (
+        (mul(cp, ct), mul(sp, ct), neg(st)),
+        (sub(mul(cp, stsf), mul(sp, cf)), add(mul(sp, stsf), mul(cp, cf)), mul(ct, sf)),
+        (add(mul(cp, stcf), mul(sp, sf)), sub(mul(sp, stcf), mul(cp, sf)), mul(ct, cf)),
+    )
 
 
 @compiled

@@ -8,12 +8,12 @@ that leaves of yaw, place and bias is paving.py's.
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.fan import DIRECTIONS, add_box, less
+from estimator.fan import add_box, less
 from estimator.frames import turned
 from estimator.interval import add, is_empty, meet
-from estimator.odometry_block import extend_two_blocks
+from estimator.odometry_block import BLOCK, Blocks, extend_two_blocks
 from estimator.paving import contract_by_window
-from estimator.place_polygon import SIDES, WIDEST_M, cut_polygon, moved_polygon, polygon_of
+from estimator.place_polygon import SIDES, cut_anew, cut_polygon, moved_polygon
 from estimator.slip_ledger import Mark, SlipLedger
 
 MOST_FIXES = 60
@@ -31,24 +31,10 @@ class GpsWindow:
         """`ledger`: of the tracks; None: they are taken to slip alike."""
         self._drift, self._ledger = bias_drift, ledger
         self.count = 0
-        shape = (RECENT + 2,)
-        self._antenna = np.zeros((*shape, 2, 2))
-        self._offset = np.zeros((*shape, 2, 2))
-        self._heading = np.zeros((*shape, 3))
-        self._seconds = np.zeros(shape)
-        self._way, self._by_bias, self._error = (
-            np.zeros((*shape, 2)),
-            np.zeros((*shape, 2)),
-            np.zeros((*shape, DIRECTIONS)),
-        )
-        self._raw, self._least = np.zeros((*shape, DIRECTIONS)), np.zeros((*shape, DIRECTIONS))
-        """Of a block that is open: its error without its credit, and what that is taken from (slip_ledger.py)."""
+        self._blocks: Blocks = np.zeros(RECENT + 2, BLOCK)
+        """Those between the remembered fixes, then now's; the recent one, and now's again."""
         self._since: list[Mark | None] = [None, None]
         """Where the open block begins, and the recent one."""
-        self._bias = np.zeros(shape)
-        self._path = np.zeros(shape)
-        self._last = np.full((2, 4), np.nan)
-        """Axis of the last step, and its heading's τ and ρ, in the open and the recent block; NaN before the first."""
         self._polygon, self._moved = np.zeros(SIDES), np.zeros(SIDES)
         """Of places at the last fix that was used, and at the fix last given to `narrowed` (place_polygon.py)."""
         self._bounded = False
@@ -71,9 +57,8 @@ class GpsWindow:
         """The open block goes on by one step: its box [3, 2] and its middle axis [3], along the step's heading."""
         if self.count:
             extend_two_blocks(
-                self.count - 1, RECENT, step, axis, heading, quantum, bias, self._drift, now_s, self._heading,
-                self._seconds, self._bias, self._last, self._way, self._by_bias, self._raw, self._least, self._path,
-            )  # fmt: skip
+                self.count - 1, RECENT, step, axis, heading, quantum, bias, self._drift, now_s, self._blocks
+            )
 
     def narrowed(
         self,
@@ -94,12 +79,21 @@ class GpsWindow:
         k = self.count
         if k:
             self._settle(k - 1, self._since[0])
-        self._antenna[k], self._offset[k], self._heading[k], self._seconds[k] = antenna, offset, heading, seconds[0]
-        left = contract_by_window(
-            k, self._antenna, self._offset, self._heading, self._seconds, self._way, self._by_bias,
-            self._error, self._bias, seconds[1], quantum, self._drift, bias, yaw, place,
-        )  # fmt: skip
+        self._put(k, antenna, offset, heading, seconds[0])
+        left = contract_by_window(k, self._blocks, seconds[1], quantum, self._drift, bias, yaw, place)
         return left and self._in_polygon(quantum, seconds[1], bias, yaw, place)
+
+    def _put(
+        self,
+        k: int,
+        antenna: NDArray[np.float64],
+        offset: NDArray[np.float64],
+        heading: NDArray[np.float64],
+        seconds: float,
+    ) -> None:
+        """A fix, in row k."""
+        of = self._blocks
+        of["antenna"][k], of["offset"][k], of["heading"][k], of["seconds"][k] = antenna, offset, heading, seconds
 
     def _in_polygon(
         self,
@@ -113,12 +107,10 @@ class GpsWindow:
         if not self._bounded:
             return True
         self._settle(RECENT, self._since[1])
-        self._heading[RECENT + 1] = self._heading[self.count]
-        rows = slice(RECENT, RECENT + 2)
+        self._blocks["heading"][RECENT + 1] = self._blocks["heading"][self.count]
         self._bounded = moved_polygon(
-            self._polygon, self._heading[rows], self._seconds[rows], self._way[rows], self._by_bias[rows],
-            self._error[rows], self._bias[rows], now_s, quantum, self._drift, bias, yaw, self._moved,
-        )  # fmt: skip
+            self._polygon, self._blocks[RECENT:], now_s, quantum, self._drift, bias, yaw, self._moved
+        )
         return not self._bounded or cut_polygon(self._moved, place)
 
     def remember(
@@ -136,14 +128,15 @@ class GpsWindow:
         """
         k = self.count
         self._go_on_from(bias, slack, place)
-        box = self._antenna[k]
-        spacing = min(max(0.5 * float(np.max(box[:, 1] - box[:, 0])), LEAST_SPACING_M), MOST_SPACING_M)
-        if k and self._path[k - 1] < spacing:
+        box = self._blocks["antenna"][k]
+        half_width = 0.5 * max(box[0, 1] - box[0, 0], box[1, 1] - box[1, 0])
+        spacing = min(max(half_width, LEAST_SPACING_M), MOST_SPACING_M)
+        if k and self._blocks["path"][k - 1] < spacing:
             return
         if k == MOST_FIXES:
             self._let_go_of_the_oldest()
         self._begin_block(bias, slack, quantum)
-        antenna, offset = self._antenna[self.count - 1], self._offset[self.count - 1]
+        antenna, offset = self._blocks["antenna"][self.count - 1], self._blocks["offset"][self.count - 1]
         moved = turned((yaw[0], yaw[1]), (offset[0, 0], offset[0, 1]), (offset[1, 0], offset[1, 1]))
         for axis in range(2):
             there = add((place[axis, 0], place[axis, 1]), moved[axis])
@@ -153,25 +146,20 @@ class GpsWindow:
 
     def _settle(self, k: int, since: Mark | None) -> None:
         """The error of a block that is open as it is now."""
-        less(self._raw[k], self._least[k], self._ledger.credit(since) if self._ledger else 0.0, self._error[k])
+        of = self._blocks
+        less(of["raw"][k], of["least"][k], self._ledger.credit(since) if self._ledger else 0.0, of["error"][k])
 
     def _go_on_from(self, bias: NDArray[np.float64], slack: float, place: NDArray[np.float64]) -> None:
         """The polygon begins anew, at the fix last given to `narrowed`, which left the robot in place [2, 2]."""
-        if not self._bounded:
-            polygon_of(place, self._moved)
-        self._bounded = bool(np.max(place[:, 1] - place[:, 0]) < WIDEST_M) and cut_polygon(self._moved, place.copy())
+        self._bounded = cut_anew(self._moved, self._bounded, place)
         self._polygon[:] = self._moved
-        self._heading[RECENT], self._seconds[RECENT] = self._heading[self.count], self._seconds[self.count]
+        for name in ("heading", "seconds"):
+            self._blocks[name][RECENT] = self._blocks[name][self.count]
         self._since[1] = self._empty(RECENT, bias, slack)
-        self._last[1] = np.nan
 
     def _let_go_of_the_oldest(self) -> None:
         """Make room for one more fix."""
-        for kept in (
-            self._antenna, self._offset, self._heading, self._seconds, self._way, self._by_bias, self._error,
-            self._raw, self._least, self._bias, self._path,
-        ):  # fmt: skip
-            kept[:MOST_FIXES] = kept[1 : MOST_FIXES + 1]
+        self._blocks[:MOST_FIXES] = self._blocks[1 : MOST_FIXES + 1]
         self.count -= 1
 
     def _begin_block(self, bias: NDArray[np.float64], slack: float, quantum: float) -> None:
@@ -179,15 +167,15 @@ class GpsWindow:
         k = self.count
         if k:
             self._settle(k - 1, self._since[0])
-            add_box(self._error[k - 1], quantum, quantum)
+            add_box(self._blocks["error"][k - 1], quantum, quantum)
         self._since[0] = self._empty(k, bias, slack)
-        self._last[0] = np.nan
         self.count = k + 1
 
     def _empty(self, k: int, bias: NDArray[np.float64], slack: float) -> Mark | None:
         """A block without a step yet; it begins at the newest count."""
-        self._way[k] = self._by_bias[k] = self._path[k] = self._raw[k] = 0.0
-        self._least[k] = np.inf
-        add_box(self._raw[k], slack, slack)
-        self._bias[k] = 0.5 * (bias[0] + bias[1])
+        of = self._blocks
+        of["way"][k] = of["by_bias"][k] = of["path"][k] = of["raw"][k] = 0.0
+        of["least"][k], of["last"][k] = np.inf, np.nan
+        add_box(of["raw"][k], slack, slack)
+        of["reference"][k] = 0.5 * (bias[0] + bias[1])
         return self._ledger.mark() if self._ledger else None

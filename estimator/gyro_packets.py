@@ -3,13 +3,16 @@
 The board's own clock says how long it was, to within its resolution and drift; the host's stamps bound it too.
 """
 
-from collections import deque
 from collections.abc import Iterator
 from copy import copy, deepcopy
-from math import inf
-from typing import NamedTuple, TypeAlias
+from math import inf, nan
+from typing import NamedTuple
 
-from drivers.samples import InertialSample, Stamp
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.compiled import compiled
+from drivers.samples import InertialSample, Stamp, Vector3
 from estimator.inconsistency import Journal
 from estimator.interval import down, up
 
@@ -18,163 +21,222 @@ CLOCK_STEP_US = {"HIGHRES_IMU": 1, "RAW_IMU": 1, "DUAL_AXIS_ACCELERATION": 1, "D
 MILLISECOND_US = 1000
 LEARNING_PACKETS = 8
 """Gyro packets until the shortest interval seen is taken for the board's period."""
-REMEMBERED = 4096
-
-Effort: TypeAlias = tuple[int, int, int]
-"""Summed variation of the body rates from the beginning on, in motion.QUANTUM."""
+REMEMBERED = 1024
+EARLIEST_NS, LATEST_NS, BEGAN_NS, EPOCH, DEVICE_US, RESOLUTION_US = range(6)
+"""Columns of a packet's numbers: its stamp; its mean surely covers nothing before `began`; its place on the board's
+clock."""
+EFFORT = 6
+"""And from here on [3] the summed variation of the body rates from the beginning to it, in motion.QUANTUM."""
+NO_CLOCK = -(2**62)
+FARTHEST_US = 2**51
+"""A board's clock that tells more than 71 years (either way) is taken to tell that."""
+PERIOD_S, INTERVALS = range(2)
+"""What is learnt of the board: its shortest interval, and how many were seen since it started."""
+NOT_YET, NO_PACKET = -1, -2
+"""What `around` says where it names no packet."""
 
 
 class Packet(NamedTuple):
-    """What later corrections need of a gyro packet."""
+    """One that is remembered."""
 
     stamp: Stamp
-    epoch: int
-    device_us: int | None
-    resolution_us: int
-    effort: Effort
-    """Up to here."""
-    rate: tuple[float, float, float]
-    began_ns: int
-    """Its mean surely covers nothing before this."""
-
-
-class Elapsed(NamedTuple):
-    """From one gyro packet to the next."""
-
-    least_s: float
-    most_s: float
-    stamp: Stamp
-    """Of the second, made tighter by the first."""
-    gap: bool
-    """Does the second's mean cover only the last part of it?"""
+    rate: Vector3
 
 
 class GyroPackets:
     """The newest packets of the one gyroscope that is used: that which spoke first."""
 
     def __init__(self, clock_drift_ppm: float, journal: Journal) -> None:
-        self._drift = clock_drift_ppm * 1e-6
+        self.drift = clock_drift_ppm * 1e-6
         self._journal = journal
         self._source: tuple[str, int] | None = None
-        self._packets: deque[Packet] = deque(maxlen=REMEMBERED)
-        self._period_s = inf
-        self._intervals_seen = 0
+        self.numbers = np.zeros((REMEMBERED, EFFORT + 3), dtype=np.int64)
+        """Of packet k in row k modulo REMEMBERED, in the columns above."""
+        self.rates = np.zeros((REMEMBERED, 3))
+        """[n, 3] rad/s; NaN: not measured."""
+        self.begin = self.end = 0
+        """Packets [begin, end) are there."""
+        self.learnt = np.array([inf, 0.0])
 
     def __deepcopy__(self, memo: dict[int, object]) -> "GyroPackets":
-        """Packets never change: the copy's list is new, its entries are not."""
         new = copy(self)
-        new._journal, new._packets = deepcopy(self._journal, memo), self._packets.copy()
+        new._journal = deepcopy(self._journal, memo)
+        new.numbers, new.rates, new.learnt = self.numbers.copy(), self.rates.copy(), self.learnt.copy()
         return new
 
     def __len__(self) -> int:
-        return len(self._packets)
+        return self.end - self.begin
 
     def __getitem__(self, i: int) -> Packet:
-        return self._packets[i]
+        """The oldest is 0."""
+        if not 0 <= i < len(self):
+            raise IndexError(i)
+        row = (self.begin + i) % REMEMBERED
+        earliest_ns, latest_ns = self.numbers[row, [EARLIEST_NS, LATEST_NS]].tolist()
+        roll, pitch, yaw = (rate if rate == rate else nan for rate in self.rates[row].tolist())
+        return Packet(Stamp(earliest_ns, latest_ns), (roll, pitch, yaw))
 
     def __reversed__(self) -> Iterator[Packet]:
-        return reversed(self._packets)
+        return (self[i] for i in range(len(self) - 1, -1, -1))
 
-    def fits(self, sample: InertialSample) -> bool:
-        """Is this packet of the gyroscope that is used, and newer than the last? Else it is counted."""
+    def heard(self, sample: InertialSample) -> bool:
+        """Is this of the gyroscope that is used? Else it is counted."""
         source = (sample.message, sample.sensor_id)
         if self._source is None:
             self._source = source
         if source != self._source:
             self._journal.counts["second_gyro"] += 1
             return False
-        last = self._packets[-1] if self._packets else None
-        if last is not None and (sample.stamp.latest_ns < last.stamp.earliest_ns or self._goes_back(sample, last)):
-            self._journal.counts["gyro_out_of_order"] += 1
-            return False
         return True
 
-    def _goes_back(self, sample: InertialSample, last: Packet) -> bool:
-        """Is the packet no newer by the board's clock? Where it surely is by the host's stamps, that clock is wrong."""
-        if sample.device_time_us is None or last.device_us is None or sample.epoch != last.epoch:
-            return False
-        between_us = sample.device_time_us - last.device_us
-        if between_us > 0:
-            return False
-        at_most_ns = max(0, between_us + _resolution_us(sample)) * 1000 / (1.0 - self._drift) + 2
-        surely_ns = sample.stamp.earliest_ns - last.stamp.latest_ns
-        if surely_ns > at_most_ns:
-            self._journal.report("imu_clock", sample.stamp.mid_ns, (surely_ns - at_most_ns) * 1e-9, "s")
-        return True
+    def begin_with(self, sample: InertialSample) -> None:
+        """The first packet."""
+        earliest_ns, latest_ns = sample.stamp.earliest_ns, sample.stamp.latest_ns
+        append(
+            self.numbers, self.rates, 0, earliest_ns, latest_ns, earliest_ns, sample.epoch, *board_clock(sample),
+            np.ones(3, np.int64), sample.gyro_rps,
+        )  # fmt: skip
+        self.begin, self.end = 0, 1
 
-    def append(self, sample: InertialSample, stamp: Stamp, effort: Effort) -> None:
-        """The newest packet."""
-        began_ns = (self._packets[-1] if self._packets else sample).stamp.earliest_ns
-        self._packets.append(
-            Packet(
-                stamp, sample.epoch, sample.device_time_us, _resolution_us(sample), effort, sample.gyro_rps, began_ns
-            )
-        )
+    def appended(self) -> None:
+        """One more was (`append`)."""
+        self.end += 1
+        self.begin = max(self.begin, self.end - REMEMBERED)
 
-    def begin_anew(self, effort: Effort) -> None:
+    def begin_anew(self, effort: NDArray[np.int64]) -> None:
         """Forget all but the newest packet; variations count from `effort` on."""
-        newest = self._packets[-1]
-        self._packets.clear()
-        self._packets.append(newest._replace(effort=effort))
-
-    def elapsed(self, sample: InertialSample) -> Elapsed:
-        """Time since the last packet. A board's clock that can't be true by the host's stamps is reported."""
-        last, stamp = self._packets[-1], sample.stamp
-        low = max(0, stamp.earliest_ns - last.stamp.latest_ns)
-        high = stamp.latest_ns - last.stamp.earliest_ns
-        if sample.device_time_us is None or last.device_us is None or sample.epoch != last.epoch:
-            self._intervals_seen = 0
-            return Elapsed(down(low * 1e-9), up(high * 1e-9), stamp, True)
-        between, resolution = sample.device_time_us - last.device_us, _resolution_us(sample)
-        device_low = int(max(0, between - resolution) * 1000 * (1.0 - self._drift)) - 1
-        device_high = int((between + resolution) * 1000 / (1.0 - self._drift)) + 2
-        self._intervals_seen += 1
-        if self._intervals_seen > 1:  # the first one after a start may be anything
-            self._period_s = min(self._period_s, between * 1e-6)
-        gap = self._intervals_seen <= LEARNING_PACKETS or between * 1e-6 > 1.5 * self._period_s
-        if gap and self._intervals_seen > LEARNING_PACKETS:
-            self._journal.counts["gyro_gaps"] += 1
-        if device_low > high or device_high < low:
-            self._journal.report("imu_clock", stamp.mid_ns, max(device_low - high, low - device_high) * 1e-9, "s")
-            return Elapsed(down(low * 1e-9), up(high * 1e-9), stamp, True)
-        low, high = max(low, device_low, 0), min(high, device_high)
-        stamp = Stamp(
-            max(stamp.earliest_ns, last.stamp.earliest_ns + low), min(stamp.latest_ns, last.stamp.latest_ns + high)
-        )
-        return Elapsed(max(0.0, down(low * 1e-9)), up(high * 1e-9), stamp, gap)
-
-    def around(self, sample: InertialSample) -> tuple[Packet | None, Packet] | None:
-        """The last gyro packet surely not after the reading (or None), and the newest, surely not before it.
-
-        By the board's own clock where both have it, else by the host's stamps. None while the newest may be before.
-        """
-        if not self._packets:
-            return None
-        newest = self._packets[-1]
-        if sample.epoch < newest.epoch:
-            return None, newest
-        own_us = _resolution_us(sample)
-        if not _surely_not_after(sample, own_us, newest, backward=True):
-            return None
-        for packet in reversed(self._packets):
-            if _surely_not_after(sample, own_us, packet, backward=False):
-                return packet, newest
-        return None, newest
+        self.begin = self.end - 1
+        self.numbers[self.begin % REMEMBERED, EFFORT:] = effort
 
 
-def _resolution_us(sample: InertialSample) -> int:
-    return CLOCK_STEP_US.get(sample.message, MILLISECOND_US)
+def board_clock(sample: InertialSample) -> tuple[int, int]:
+    """Device time and its resolution."""
+    device_us = sample.device_time_us
+    if device_us is None:
+        return NO_CLOCK, MILLISECOND_US
+    if not -FARTHEST_US < device_us < FARTHEST_US:
+        device_us = FARTHEST_US if device_us > 0 else -FARTHEST_US
+    return device_us, CLOCK_STEP_US.get(sample.message, MILLISECOND_US)
 
 
-def _surely_not_after(sample: InertialSample, own_us: int, packet: Packet, backward: bool) -> bool:
-    """Was the gyro packet surely not after the reading (backward: the reading surely not after the packet)?
+@compiled
+def append(
+    numbers: NDArray[np.int64],
+    rates: NDArray[np.float64],
+    k: int,
+    earliest_ns: int,
+    latest_ns: int,
+    began_ns: int,
+    epoch: int,
+    device_us: int,
+    resolution_us: int,
+    effort: NDArray[np.int64],
+    rate: Vector3,
+) -> None:
+    """Packet k."""
+    row = k % REMEMBERED
+    new = numbers[row]
+    new[EARLIEST_NS], new[LATEST_NS], new[BEGAN_NS] = earliest_ns, latest_ns, began_ns
+    new[EPOCH], new[DEVICE_US], new[RESOLUTION_US] = epoch, device_us, resolution_us
+    for axis in range(3):
+        new[EFFORT + axis] = effort[axis]
+        rates[row, axis] = rate[axis]
 
-    own_us: resolution of the reading's device time.
+
+@compiled
+def on_one_clock(packet: NDArray[np.int64], epoch: int, device_us: int) -> bool:
+    """May the board's times of a packet and of a reading be subtracted?"""
+    return bool(epoch == packet[EPOCH] and device_us != NO_CLOCK and packet[DEVICE_US] != NO_CLOCK)
+
+
+@compiled
+def goes_back(
+    last: NDArray[np.int64],
+    earliest_ns: int,
+    latest_ns: int,
+    epoch: int,
+    device_us: int,
+    resolution_us: int,
+    drift: float,
+) -> tuple[bool, float]:
+    """Is a packet no newer than the last by host's stamps or board's clock?
+
+    Where it surely is by the host's stamps, the board's clock is wrong: by so many seconds at least, else 0.
     """
-    if sample.epoch == packet.epoch and sample.device_time_us is not None and packet.device_us is not None:
-        resolution = packet.resolution_us + own_us
-        between = sample.device_time_us - packet.device_us
-        return -between >= resolution if backward else between >= resolution
-    if backward:
-        return sample.stamp.latest_ns <= packet.stamp.earliest_ns
-    return packet.stamp.latest_ns <= sample.stamp.earliest_ns
+    if latest_ns < last[EARLIEST_NS]:
+        return True, 0.0
+    if not on_one_clock(last, epoch, device_us) or device_us > last[DEVICE_US]:
+        return False, 0.0
+    at_most_ns = max(0, device_us - last[DEVICE_US] + resolution_us) * 1000 / (1.0 - drift) + 2
+    surely_ns = earliest_ns - last[LATEST_NS]
+    return True, max(0.0, (surely_ns - at_most_ns) * 1e-9)
+
+
+@compiled
+def elapsed(
+    last: NDArray[np.int64],
+    earliest_ns: int,
+    latest_ns: int,
+    epoch: int,
+    device_us: int,
+    resolution_us: int,
+    drift: float,
+    learnt: NDArray[np.float64],
+) -> tuple[float, float, int, int, bool, float]:
+    """Time since the last packet: least and most seconds; the new one's stamp, made tighter by the last.
+
+    Then: does its mean cover only the last part of that time? By how many seconds the board's clock can't be true, by
+    the host's stamps; else 0.
+    """
+    low, high = max(0, earliest_ns - last[LATEST_NS]), latest_ns - last[EARLIEST_NS]
+    if not on_one_clock(last, epoch, device_us):
+        learnt[INTERVALS] = 0.0
+        return down(low * 1e-9), up(high * 1e-9), earliest_ns, latest_ns, True, 0.0
+    between = device_us - last[DEVICE_US]
+    device_low = int(max(0, between - resolution_us) * 1000 * (1.0 - drift)) - 1
+    device_high = int((between + resolution_us) * 1000 / (1.0 - drift)) + 2
+    learnt[INTERVALS] += 1.0
+    if learnt[INTERVALS] > 1.0:  # the first one after a start may be anything
+        learnt[PERIOD_S] = min(learnt[PERIOD_S], between * 1e-6)
+    gap = learnt[INTERVALS] <= LEARNING_PACKETS or between * 1e-6 > 1.5 * learnt[PERIOD_S]
+    if device_low > high or device_high < low:
+        off_s = max(device_low - high, low - device_high) * 1e-9
+        return down(low * 1e-9), up(high * 1e-9), earliest_ns, latest_ns, True, off_s
+    low, high = max(low, device_low, 0), min(high, device_high)
+    earliest_ns, latest_ns = max(earliest_ns, last[EARLIEST_NS] + low), min(latest_ns, last[LATEST_NS] + high)
+    return max(0.0, down(low * 1e-9)), up(high * 1e-9), earliest_ns, latest_ns, gap, 0.0
+
+
+@compiled
+def around(
+    numbers: NDArray[np.int64],
+    begin: int,
+    end: int,
+    earliest_ns: int,
+    latest_ns: int,
+    epoch: int,
+    device_us: int,
+    resolution_us: int,
+) -> int:
+    """The last gyro packet surely not after a reading, before which the newest surely isn't; NOT_YET while it may be.
+
+    By the board's own clock where both have it, else by the host's stamps.
+    """
+    if begin == end:
+        return NOT_YET
+    newest = numbers[(end - 1) % REMEMBERED]
+    if epoch < newest[EPOCH]:
+        return NO_PACKET
+    if on_one_clock(newest, epoch, device_us):
+        if newest[DEVICE_US] - device_us < newest[RESOLUTION_US] + resolution_us:
+            return NOT_YET
+    elif latest_ns > newest[EARLIEST_NS]:
+        return NOT_YET
+    for k in range(end - 1, begin - 1, -1):
+        packet = numbers[k % REMEMBERED]
+        if on_one_clock(packet, epoch, device_us):
+            if device_us - packet[DEVICE_US] >= packet[RESOLUTION_US] + resolution_us:
+                return k
+        elif packet[LATEST_NS] <= earliest_ns:
+            return k
+    return NO_PACKET

@@ -1,7 +1,8 @@
 """How far the robot can have moved during a step: verified enclosures of its kinematics (SMF sections 2 and 4).
 
-Both steps enclose an integral of f(t) u(t) dt, where f depends on the attitude and u is a rate whose integral is
-measured. With a constant c near the middle of [f], the hull of f over the step,
+Both steps, the turn here and the travel in tracks.py, enclose an integral of f(t) u(t) dt, where f depends on the
+attitude and u is a rate whose integral is measured. With a constant c near the middle of [f], the hull of f over the
+step,
 
     integral f u dt  in  c [integral u] + [-1, 1] max|f - c| integral |u|,
 
@@ -16,7 +17,6 @@ from numpy.typing import NDArray
 
 from drivers.compiled import compiled
 from drivers.samples import Vector3
-from estimator.frames import Box3, forward_axis, largest, left_axis, up_axis
 from estimator.interval import (
     ULP,
     Interval,
@@ -41,6 +41,9 @@ from estimator.interval import (
 
 STEEPEST = 1.4
 """Beyond this pitch (80 degrees) Euler rates are not enclosed any more: the attitude counts as lost."""
+UNKNOWN_TILT = 1.5707963267948968
+"""Roll and pitch are taken to stay within 90 degrees."""
+UNKNOWN_YAW = 3.1415926535897936
 CAREFUL = 0.2
 """rad: an excursion guessed larger than this is enclosed step by step."""
 QUANTUM = 2.0**-40
@@ -63,6 +66,9 @@ class GyroBounds(NamedTuple):
     most_tilt_rate: float = 1e3
     """|body rate| about x and y, where it is slower."""
 
+    def __deepcopy__(self, memo: dict[int, object]) -> "GyroBounds":
+        return self
+
 
 class TrackBounds(NamedTuple):
     """Declared errors of the tracks, m, s and rad."""
@@ -78,6 +84,9 @@ class TrackBounds(NamedTuple):
     most_acceleration: float
     most_track_acceleration: float
     """Of one track's travel: most_acceleration and half the gauge's turn acceleration."""
+
+    def __deepcopy__(self, memo: dict[int, object]) -> "TrackBounds":
+        return self
 
 
 @compiled
@@ -288,147 +297,3 @@ def relative_yaw_between(
 def aged_bias(bias: Interval, drift: float, since_ns: int, now_ns: int) -> Interval:
     """[bias] as it is now, and as it was at any time since then."""
     return widen(bias, up(drift * up((now_ns - since_ns) * 1e-9)))
-
-
-@compiled
-def attitude_box(attitude: NDArray[np.float64]) -> Box3:
-    """[3, 2] array as three intervals."""
-    return (
-        (attitude[0, 0], attitude[0, 1]),
-        (attitude[1, 0], attitude[1, 1]),
-        (attitude[2, 0], attitude[2, 1]),
-    )
-
-
-class Tracked(NamedTuple):
-    """What the tracks say of a step."""
-
-    distance: Interval
-    """Integral of the speed along the tracks, but for the counts' errors; empty: faster than the robot can."""
-    path: float
-    """Integral of |speed|."""
-    quantum: float
-    """How far a difference of two counts is off, in metres;"""
-    counted: bool
-    """... if both were counted."""
-
-
-@compiled
-def tracked(left: float, right: float, counted: bool, time_high: float, bounds: TrackBounds) -> Tracked:
-    """From the tracks' travel in metres between two counts (not `counted`: unknown, the counter restarted)."""
-    q = up(0.5 * up(bounds.quantum_left + bounds.quantum_right))
-    most = up(bounds.most_speed * time_high)
-    if not counted:
-        return Tracked((-most, most), most, q, False)
-    slip = up(
-        variation((left, left), bounds.quantum_left, bounds.most_track_acceleration, time_high)
-        + variation((right, right), bounds.quantum_right, bounds.most_track_acceleration, time_high)
-    )
-    d = scale(0.5, add(outward(left, left), outward(right, right)))
-    distance = meet(widen(d, up(up(0.5 * bounds.slip) * slip)), (-up(most + q), up(most + q)))
-    path = min(variation(distance, q, bounds.most_acceleration, time_high), most)
-    return Tracked(distance, path, q, True)
-
-
-@compiled
-def travel(
-    attitude: NDArray[np.float64],
-    left: float,
-    right: float,
-    counted: bool,
-    time_high: float,
-    turning: float,
-    turning_telescoped: float,
-    bounds: TrackBounds,
-    axis: NDArray[np.float64],
-    first: bool,
-    core: NDArray[np.float64],
-    net: NDArray[np.float64],
-    swing: NDArray[np.float64],
-    pending: NDArray[np.float64],
-) -> bool:
-    """One step of (x, y, z) between two encoder readings (SMF section 4.3, with in-step attitude hulls).
-
-    attitude [3, 2] holds over the whole step; left, right are the tracks' travel in metres between the counts
-    (`counted` False: unknown, the counter restarted); the step lasts at most time_high seconds.
-
-    Two errors must not add up step by step, because they telescope: a difference of *any* two counts is off by at
-    most q = (quantum_left + quantum_right) / 2, and the turning between *any* two readings is known on the gyro's
-    clock. So `core` [3, 2] is a box for p minus what is still to come: p_n in core_k + steps k..n-1 + pending_n.
-    - With e_k the count's error at reading k and c_k the middle of the step's forward axis, sums by parts give
-      sum c_k (e_{k+1} - e_k) = c_{n-1} e_n - sum e_k (c_k - c_{k-1}): q |c_k - c_{k-1}| a step, q |c| pending.
-    - `turning_telescoped` is the variation of ω_z from the gyro node after reading k to the one after k+1, `turning`
-      the one that surely covers the step alone.
-
-    axis [3] is c_{k-1} and becomes c_k; `first`: this step starts from a count whose error is zero by definition.
-    net [3, 2] encloses the step's displacement alone; swing [3] as in `turn`; pending [3] becomes q |c_k|. False, and
-    nothing written, if the tracks ran faster than the robot can.
-    """
-    box = attitude_box(attitude)
-    ahead = forward_axis(box)
-    sideways = left_axis(box)
-    upward = up_axis(box)
-    travelled, path, q, counted = tracked(left, right, counted, time_high, bounds)
-    if is_empty(travelled):
-        return False
-    q_now = q if counted else 0.0
-    for i in range(3):
-        c = mid(ahead[i])
-        bent = 0.0 if first else up(q * up(abs((c if counted else 0.0) - axis[i])))
-        side = largest(sideways, i)
-        rest = up(up(up(reach(ahead[i], c) * path) + up(side * up(bounds.lateral * path))))
-        rest = up(rest + up(largest(upward, i) * up(bounds.normal * path)))
-        main = scale(c, travelled)
-        telescoped = widen(main, up(rest + up(side * up(bounds.turning_centre * turning_telescoped))))
-        core[i, 0], core[i, 1] = widen(add((core[i, 0], core[i, 1]), telescoped), bent)
-        slide = up(side * up(bounds.turning_centre * turning))
-        alone = widen(main, up(up(rest + slide) + up(q_now * abs(c))))
-        varied = up(up(largest(ahead, i) * path) + up(slide + up(largest(upward, i) * up(bounds.normal * path))))
-        varied = up(varied + up(side * up(bounds.lateral * path)))
-        limit = (-varied, varied)
-        alone = meet(alone, limit)
-        net[i, 0], net[i, 1] = alone
-        swing[i] = max(0.0, up(0.5 * (varied - mig(alone))))
-        axis[i] = c
-        pending[i] = up(q_now * abs(c))
-    return True
-
-
-@compiled
-def travel_in_all_frames(
-    attitude: NDArray[np.float64],
-    local_yaw: Interval,
-    left: float,
-    right: float,
-    counted: bool,
-    time_high: float,
-    turning: float,
-    turning_telescoped: float,
-    bounds: tuple[float, ...],
-    axis: NDArray[np.float64],
-    first: bool,
-    core: NDArray[np.float64],
-    net: NDArray[np.float64],
-    swing: NDArray[np.float64],
-    pending: NDArray[np.float64],
-) -> bool:
-    """`travel` of one step in the map, on Earth, and along its own heading: rows 0..2, 3..5, 6..8 of axis to pending.
-
-    attitude [4, 2]: roll, pitch, yaw in the map, yaw on Earth. In the local frame the step stands alone.
-    `bounds` are TrackBounds as a plain tuple, which is handed over four times as fast.
-    """
-    core[6:] = 0.0
-    rows = np.empty((3, 2))
-    rows[:2] = attitude[:2]
-    for frame in range(3):
-        i = 3 * frame
-        if frame < 2:
-            rows[2] = attitude[2 + frame]
-        else:
-            rows[2, 0], rows[2, 1] = local_yaw
-        if not travel(
-            rows, left, right, counted, time_high, turning, turning_telescoped, TrackBounds(*bounds), axis[i : i + 3],
-            first or frame == 2, core[i : i + 3], net[i : i + 3], swing[i : i + 3], pending[i : i + 3],
-        ):  # fmt: skip
-            return False
-    return True

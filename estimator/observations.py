@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.compiled import compiled
-from estimator.frames import Box3, left_axis, turned, up_axis
-from estimator.frames import forward_axis as ahead_axis
+from estimator.frames import columns, turned
 from estimator.interval import (
     TURN,
     Interval,
@@ -65,8 +64,8 @@ def contract_tilt(
     ahead: float,
     left: float,
     accel_error: float,
-    effort: tuple[int, int, int],
-    effort_before: tuple[int, int, int],
+    effort: NDArray[np.int64] | tuple[int, int, int],
+    effort_before: NDArray[np.int64] | tuple[int, int, int],
 ) -> int:
     """Contract roll and pitch of attitude [3, 2] in place by a reading from a little before; NaN: not measured.
 
@@ -113,9 +112,7 @@ def lever(attitude: NDArray[np.float64], arm: NDArray[np.float64], out: NDArray[
         (attitude[1, 0], attitude[1, 1]),
         (attitude[2, 0], attitude[2, 1]),
     )
-    one: Box3 = ahead_axis(box)
-    two: Box3 = left_axis(box)
-    three: Box3 = up_axis(box)
+    one, two, three = columns(box)
     for i in range(3):
         out[i, 0], out[i, 1] = add(scale(arm[0], one[i]), add(scale(arm[1], two[i]), scale(arm[2], three[i])))
 
@@ -144,7 +141,7 @@ def anchored(antenna: NDArray[np.float64], anchor: NDArray[np.float64], point: N
     """Contract anchor [4, 2] (east, north, up, yaw) and point [3, 2] (map) by antenna = t + Rz(Ψ) point (HC4).
 
     antenna [3, 2] in ENU. Forward: W = antenna - t meets Rz(Ψ) u; backward: t, u, and Ψ = atan2(W) - atan2(u) where
-    both boxes leave out the origin. Repeated, since each narrows the others.
+    both boxes leave out the origin. Repeated while each narrows the others, thrice at most.
     """
     for _ in range(3):
         psi = (anchor[3, 0], anchor[3, 1])
@@ -170,6 +167,9 @@ def anchored(antenna: NDArray[np.float64], anchor: NDArray[np.float64], point: N
             psi = nearest_copy(psi, sub(seen, own))
             if is_empty(psi):
                 return False
+        same = equal(x, point[0]) and equal(y, point[1]) and equal(psi, anchor[3])
+        if same and equal(east, anchor[0]) and equal(north, anchor[1]):
+            break
         point[0, 0], point[0, 1] = x
         point[1, 0], point[1, 1] = y
         anchor[0, 0], anchor[0, 1] = east
@@ -186,6 +186,12 @@ def anchored(antenna: NDArray[np.float64], anchor: NDArray[np.float64], point: N
     point[2, 0], point[2, 1] = z_new
     anchor[2, 0], anchor[2, 1] = t_new
     return True
+
+
+@compiled
+def equal(a: Interval, b: NDArray[np.float64]) -> bool:
+    """Are both ends the same?"""
+    return bool(a[0] == b[0] and a[1] == b[1])
 
 
 @compiled

@@ -1,21 +1,49 @@
 """Preintegrated odometry: the way between two remembered fixes, as seen along the heading at its start (SMF 7.1)."""
 
 from math import cos, sin, sqrt
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.compiled import compiled
-from estimator.fan import add_box, add_segment, shared
+from estimator.fan import DIRECTIONS, add_box, add_segment, shared
 from estimator.interval import mid, norm, reach, up
 
 ROUNDING = 1e-12
 """Relative: sums below of fewer than 10^4 products of numbers as large as the whole way."""
 
 
+BLOCK = np.dtype(
+    [
+        ("antenna", np.float64, (2, 2)),
+        ("offset", np.float64, (2, 2)),
+        ("heading", np.float64, (3,)),
+        ("seconds", np.float64),
+        ("reference", np.float64),
+        ("way", np.float64, (2,)),
+        ("by_bias", np.float64, (2,)),
+        ("error", np.float64, (DIRECTIONS,)),
+        ("raw", np.float64, (DIRECTIONS,)),
+        ("least", np.float64, (DIRECTIONS,)),
+        ("path", np.float64),
+        ("last", np.float64, (4,)),
+    ],
+    align=True,
+)
+"""A fix, and the way from it to the next. At the fix: box of the antenna (east, north), where that was from base_link
+along the heading, heading and time of the gyro node then. The block of odometry that begins there is, in the yaw frame
+of its start, way + by_bias (b - reference) + error, and `path` long.
+
+While it is open: its error without the slip's credit, and what that is taken from (slip_ledger.py); axis of its last
+step, and that heading's τ and ρ, NaN before the first."""
+Blocks: TypeAlias = NDArray[np.void]
+"""[n] of BLOCK."""
+
+
 @compiled
 def extend_block(
-    k: int,
+    block: Any,
     step: NDArray[np.float64],
     axis: NDArray[np.float64],
     heading: NDArray[np.float64],
@@ -23,25 +51,16 @@ def extend_block(
     bias: NDArray[np.float64],
     drift: float,
     now_s: float,
-    starts: NDArray[np.float64],
-    seconds: NDArray[np.float64],
-    references: NDArray[np.float64],
-    last: NDArray[np.float64],
-    ways: NDArray[np.float64],
-    by_biases: NDArray[np.float64],
-    errors: NDArray[np.float64],
-    leasts: NDArray[np.float64],
-    paths: NDArray[np.float64],
 ) -> None:
-    """SMF equation 19: block k, way + by_bias (b - reference) + error in the yaw frame of its start, a step longer.
+    """SMF equation 19: a BLOCK, way + by_bias (b - reference) + error in the yaw frame of its start, a step longer.
 
     step [3, 2] is its box and axis [3] its middle axis, along the step's heading, which is that of the block turned by
     α + τ (b - reference) + ν, |ν| <= ρ, with b the bias now; since the block's start it drifted by no more than `drift`
-    a second. errors[k] is a fan; leasts[k] what its segments of slip have in common, per metre of the tracks. The error
-    of the count telescopes as in motion.travel: a quantum for each change of the axis.
+    a second. Its `raw` is a fan; `least` what its segments of slip have in common, per metre of the tracks. The error
+    of the count telescopes as in tracks.travel: a quantum for each change of the axis.
     """
-    start, reference, way, by_bias, error = starts[k], references[k], ways[k], by_biases[k], errors[k]
-    aged = up(drift * up(now_s - seconds[k]))
+    start, reference, way, by_bias, last = block.heading, block.reference, block.way, block.by_bias, block.last
+    aged = up(drift * up(now_s - block.seconds))
     tau = heading[1] - start[1]
     rho = up(up(abs(heading[2] - start[2])) + up(abs(tau) * aged))
     alpha = heading[0] - start[0] + tau * reference
@@ -69,15 +88,15 @@ def extend_block(
         along += bent
         across += bent
     last[0], last[1], last[2], last[3] = ax, ay, tau, rho
-    paths[k] += sqrt(dx * dx + dy * dy)
-    rounding = ROUNDING * (abs(way[0]) + abs(way[1]) + paths[k] + 1e-3)
-    add_segment(error, c * along, s * along)
+    block.path += sqrt(dx * dx + dy * dy)
+    rounding = ROUNDING * (abs(way[0]) + abs(way[1]) + block.path + 1e-3)
+    add_segment(block.raw, c * along, s * along)
     if spread < 1.0:
-        shared(leasts[k], c * axis[0], s * axis[0])
+        shared(block.least, c * axis[0], s * axis[0])
     else:
-        leasts[k] = 0.0
-    add_segment(error, -s * across, c * across)
-    add_box(error, rounding, rounding)
+        block.least[:] = 0.0
+    add_segment(block.raw, -s * across, c * across)
+    add_box(block.raw, rounding, rounding)
 
 
 @compiled
@@ -91,20 +110,8 @@ def extend_two_blocks(
     bias: NDArray[np.float64],
     drift: float,
     now_s: float,
-    starts: NDArray[np.float64],
-    seconds: NDArray[np.float64],
-    references: NDArray[np.float64],
-    last: NDArray[np.float64],
-    ways: NDArray[np.float64],
-    by_biases: NDArray[np.float64],
-    errors: NDArray[np.float64],
-    leasts: NDArray[np.float64],
-    paths: NDArray[np.float64],
+    blocks: Blocks,
 ) -> None:
-    """The same step for two blocks; last [2, 4]."""
-    for which in range(2):
-        row = k if which == 0 else other
-        extend_block(
-            row, step, axis, heading, quantum, bias, drift, now_s, starts, seconds, references, last[which], ways,
-            by_biases, errors, leasts, paths,
-        )  # fmt: skip
+    """The same step for two blocks."""
+    extend_block(blocks[k], step, axis, heading, quantum, bias, drift, now_s)
+    extend_block(blocks[other], step, axis, heading, quantum, bias, drift, now_s)

@@ -13,7 +13,7 @@ from estimator.chaining import Chain, chain
 from estimator.fan import support
 from estimator.interval import Interval, direction, down, is_empty, mag, mid, mig, reach, sub, up
 from estimator.observations import nearest_copy
-from estimator.odometry_block import ROUNDING
+from estimator.odometry_block import ROUNDING, Blocks
 
 BIAS_CELLS = 4
 TURN_OF_A_CELL = 0.06
@@ -26,14 +26,7 @@ FINEST = 128
 @compiled
 def contract_by_window(
     count: int,
-    antenna: NDArray[np.float64],
-    offset: NDArray[np.float64],
-    heading: NDArray[np.float64],
-    seconds: NDArray[np.float64],
-    way: NDArray[np.float64],
-    by_bias: NDArray[np.float64],
-    error: NDArray[np.float64],
-    reference: NDArray[np.float64],
+    blocks: Blocks,
     now_s: float,
     quantum: float,
     drift: float,
@@ -41,21 +34,21 @@ def contract_by_window(
     yaw: NDArray[np.float64],
     place: NDArray[np.float64],
 ) -> bool:
-    """Contract bias [2], yaw [2], place [2, 2] by the fixes 0..count; False if nothing is left."""
+    """Contract bias [2], yaw [2], place [2, 2] by the fixes of blocks 0..count; False if nothing is left."""
     cells = 1
     if count:
-        turned = (bias[1] - bias[0]) * abs(heading[0, 1] - heading[count, 1])
+        turned = (bias[1] - bias[0]) * abs(blocks[0].heading[1] - blocks[count].heading[1])
         cells = int(min(max(turned / TURN_OF_A_CELL, 1.0), BIAS_CELLS))
     width = (bias[1] - bias[0]) / cells
     biases, yaws, places = empty_hull(1), empty_hull(1), empty_hull(2)
     for cell in range(cells):
         low = bias[0] if cell == 0 else bias[0] + cell * width
         high = bias[1] if cell == cells - 1 else bias[0] + (cell + 1) * width
-        ways = chain(count, offset, heading, seconds, way, by_bias, error, reference, now_s, quantum, low, high, drift)
-        psi = cut(count, antenna, ways, (yaw[0], yaw[1]))
+        ways = chain(count, blocks, now_s, quantum, low, high, drift)
+        psi = cut(count, blocks, ways, (yaw[0], yaw[1]))
         if not is_empty(psi):
-            psi = shaved(count, antenna, ways, psi, place)
-        if not is_empty(psi) and pave(count, antenna, ways, psi, place, places):
+            psi = shaved(count, blocks, ways, psi, place)
+        if not is_empty(psi) and pave(count, blocks, ways, psi, place, places):
             grow(biases[0], low, high)
             grow(yaws[0], psi[0], psi[1])
     if not biases[0, 0] <= biases[0, 1]:
@@ -79,12 +72,12 @@ def grow(hull: NDArray[np.float64], low: float, high: float) -> None:
 
 
 @compiled
-def cut(count: int, antenna: NDArray[np.float64], ways: Chain, yaw: Interval) -> Interval:
+def cut(count: int, blocks: Blocks, ways: Chain, yaw: Interval) -> Interval:
     """What is left of yaw by the newest fix and each of the others, one after the other."""
     for j in range(count - 1, ways.oldest - 1, -1):
-        if not as_far_apart(count, j, antenna, ways):
+        if not as_far_apart(count, j, blocks, ways):
             return 1.0, -1.0
-        seen = yaw_by_displacement(count, j, antenna, ways)
+        seen = yaw_by_displacement(count, j, blocks, ways)
         if not is_empty(seen):
             yaw = nearest_copy(yaw, seen)
             if is_empty(yaw):
@@ -93,7 +86,7 @@ def cut(count: int, antenna: NDArray[np.float64], ways: Chain, yaw: Interval) ->
 
 
 @compiled
-def as_far_apart(newest: int, j: int, antenna: NDArray[np.float64], ways: Chain) -> bool:
+def as_far_apart(newest: int, j: int, blocks: Blocks, ways: Chain) -> bool:
     """Can two fixes be as far from each other as they are by odometry? Whatever yaw is: a wrong scale shows here."""
     qx, qy = ways.q[j, 0] - ways.q[newest, 0], ways.q[j, 1] - ways.q[newest, 1]
     long = sqrt(qx * qx + qy * qy)
@@ -103,8 +96,7 @@ def as_far_apart(newest: int, j: int, antenna: NDArray[np.float64], ways: Chain)
     bx, by, h = ways.slope[j, 0], ways.slope[j, 1], ways.h
     along = abs(x * bx + y * by) * h + support(ways.fan[j], x, y) + support(ways.fan[newest], x, y)
     across = abs(x * by - y * bx) * h + support(ways.fan[j], -y, x) + support(ways.fan[newest], -y, x)
-    east = sub((antenna[newest, 0, 0], antenna[newest, 0, 1]), (antenna[j, 0, 0], antenna[j, 0, 1]))
-    north = sub((antenna[newest, 1, 0], antenna[newest, 1, 1]), (antenna[j, 1, 0], antenna[j, 1, 1]))
+    east, north = between_fixes(blocks[newest].antenna, blocks[j].antenna)
     least = sqrt(mig(east) ** 2 + mig(north) ** 2)
     most = sqrt(mag(east) ** 2 + mag(north) ** 2)
     slack = 1.0 + 1e-12
@@ -112,7 +104,16 @@ def as_far_apart(newest: int, j: int, antenna: NDArray[np.float64], ways: Chain)
 
 
 @compiled
-def yaw_by_displacement(newest: int, j: int, antenna: NDArray[np.float64], ways: Chain) -> Interval:
+def between_fixes(last: NDArray[np.float64], first: NDArray[np.float64]) -> tuple[Interval, Interval]:
+    """From one antenna's box [2, 2] to another's: east and north."""
+    return (
+        sub((last[0, 0], last[0, 1]), (first[0, 0], first[0, 1])),
+        sub((last[1, 0], last[1, 1]), (first[1, 0], first[1, 1])),
+    )
+
+
+@compiled
+def yaw_by_displacement(newest: int, j: int, blocks: Blocks, ways: Chain) -> Interval:
     """SMF equation 22: yaw from the way between two fixes and the same way by odometry; empty where they are too near.
 
     A vector q with errors up to e_∥ along itself and e_⊥ across is off its direction by atan(e_⊥ / (|q| - e_∥)).
@@ -127,10 +128,8 @@ def yaw_by_displacement(newest: int, j: int, antenna: NDArray[np.float64], ways:
     if not long > 1.000001 * along:
         return 1.0, -1.0
     across = abs(x * by - y * bx) * h + support(ways.fan[j], -y, x) + support(ways.fan[newest], -y, x)
-    seen = direction(
-        sub((antenna[newest, 0, 0], antenna[newest, 0, 1]), (antenna[j, 0, 0], antenna[j, 0, 1])),
-        sub((antenna[newest, 1, 0], antenna[newest, 1, 1]), (antenna[j, 1, 0], antenna[j, 1, 1])),
-    )
+    east, north = between_fixes(blocks[newest].antenna, blocks[j].antenna)
+    seen = direction(east, north)
     if is_empty(seen):
         return seen
     off = atan(across / (long - along)) * (1.0 + 1e-9) + 1e-12
@@ -141,7 +140,7 @@ def yaw_by_displacement(newest: int, j: int, antenna: NDArray[np.float64], ways:
 @compiled
 def fits(
     count: int,
-    antenna: NDArray[np.float64],
+    blocks: Blocks,
     ways: Chain,
     first: float,
     last: float,
@@ -153,7 +152,7 @@ def fits(
     w, c, s = reach((first, last), psi), cos(psi), sin(psi)
     out[:] = place
     for j in range(count, ways.oldest - 1, -1):
-        x, y = place_by(j, c, s, w, antenna, ways)
+        x, y = place_by(j, c, s, w, blocks, ways)
         out[0, 0], out[0, 1] = max(out[0, 0], x[0]), min(out[0, 1], x[1])
         out[1, 0], out[1, 1] = max(out[1, 0], y[0]), min(out[1, 1], y[1])
         if out[0, 0] > out[0, 1] or out[1, 0] > out[1, 1]:
@@ -162,9 +161,7 @@ def fits(
 
 
 @compiled
-def place_by(
-    j: int, c: float, s: float, w: float, antenna: NDArray[np.float64], ways: Chain
-) -> tuple[Interval, Interval]:
+def place_by(j: int, c: float, s: float, w: float, blocks: Blocks, ways: Chain) -> tuple[Interval, Interval]:
     """SMF equation 23: where base_link is by fix j, for any yaw within w of the one with cosine c and sine s."""
     kappa = min(0.5 * w * w, 2.0)
     ux, uy = c * ways.q[j, 0] - s * ways.q[j, 1], s * ways.q[j, 0] + c * ways.q[j, 1]
@@ -177,24 +174,23 @@ def place_by(
     slack = ROUNDING * (abs(ux) + abs(uy) + rx + ry + 1.0)
     rx += slack
     ry += slack
-    x = down(antenna[j, 0, 0] + (ux - rx)), up(antenna[j, 0, 1] + (ux + rx))
-    y = down(antenna[j, 1, 0] + (uy - ry)), up(antenna[j, 1, 1] + (uy + ry))
+    antenna = blocks[j].antenna
+    x = down(antenna[0, 0] + (ux - rx)), up(antenna[0, 1] + (ux + rx))
+    y = down(antenna[1, 0] + (uy - ry)), up(antenna[1, 1] + (uy + ry))
     return x, y
 
 
 @compiled
-def shaved(
-    count: int, antenna: NDArray[np.float64], ways: Chain, yaw: Interval, place: NDArray[np.float64]
-) -> Interval:
+def shaved(count: int, blocks: Blocks, ways: Chain, yaw: Interval, place: NDArray[np.float64]) -> Interval:
     """Yaw without the slices at its ends that fit no place; ever thinner ones."""
     out = np.empty((2, 2))
     first, last = yaw
     width = last - first
     slice_ = width / 4.0
     while slice_ > max(width / FINEST, 1e-9):
-        while first < last and not fits(count, antenna, ways, first, min(first + slice_, last), place, out):
+        while first < last and not fits(count, blocks, ways, first, min(first + slice_, last), place, out):
             first = first + slice_
-        while first < last and not fits(count, antenna, ways, max(last - slice_, first), last, place, out):
+        while first < last and not fits(count, blocks, ways, max(last - slice_, first), last, place, out):
             last = last - slice_
         if not first < last:
             return 1.0, -1.0
@@ -205,7 +201,7 @@ def shaved(
 @compiled
 def pave(
     count: int,
-    antenna: NDArray[np.float64],
+    blocks: Blocks,
     ways: Chain,
     yaw: Interval,
     place: NDArray[np.float64],
@@ -218,7 +214,7 @@ def pave(
     for cell in range(YAW_CELLS):
         first = yaw[0] if cell == 0 else yaw[0] + cell * width
         last = yaw[1] if cell == YAW_CELLS - 1 else yaw[0] + (cell + 1) * width
-        if fits(count, antenna, ways, first, last, place, out):
+        if fits(count, blocks, ways, first, last, place, out):
             found = True
             for axis in range(2):
                 grow(places[axis], out[axis, 0], out[axis, 1])

@@ -15,6 +15,7 @@ from drivers.compiled import compiled
 from estimator.chaining import chain
 from estimator.fan import support
 from estimator.interval import down, mid, reach, up
+from estimator.odometry_block import Blocks
 
 SIDES = 64
 HALF = SIDES // 2
@@ -47,22 +48,13 @@ def farthest(box: NDArray[np.float64], m: int) -> float:
 def cut_polygon(polygon: NDArray[np.float64], box: NDArray[np.float64]) -> bool:
     """The part of polygon [SIDES] in box [2, 2], and box to enclose it, both in place; False where there is none.
 
-    In two dimensions a side is as tight as two others make it: for directions i < m < j less than half a turn apart,
-    d_m = (sin(j - m) d_i + sin(m - i) d_j) / sin(j - i), so h_m is at most the same of h_i and h_j. No point is left
-    exactly if then two opposite sides have passed each other (Farkas).
+    No point is left exactly if, once the sides are tight, two opposite ones have passed each other (Farkas).
     """
     size = 0.0
     for m in range(SIDES):
         polygon[m] = min(polygon[m], farthest(box, m))
         size = max(size, abs(polygon[m]))
-    for m in range(SIDES):
-        least = polygon[m]
-        for a in range(1, HALF):
-            before = polygon[m - a]
-            for b in range(1, HALF - a):
-                after = polygon[(m + b) % SIDES]
-                least = min(least, (SINES[b] * before + SINES[a] * after) / SINES[a + b])
-        polygon[m] = min(polygon[m], up(least + 64.0 * ROUNDING * size))
+    tighten(polygon, 64.0 * ROUNDING * size)
     for m in range(HALF):
         if polygon[m] < -polygon[m + HALF]:
             return False
@@ -75,14 +67,52 @@ def cut_polygon(polygon: NDArray[np.float64], box: NDArray[np.float64]) -> bool:
 
 
 @compiled
+def cut_anew(polygon: NDArray[np.float64], known: bool, box: NDArray[np.float64]) -> bool:
+    """The part of polygon [SIDES] in box [2, 2], or all of the box if none is known; False where there is none."""
+    if not known:
+        polygon_of(box, polygon)
+    narrow = max(box[0, 1] - box[0, 0], box[1, 1] - box[1, 0]) < WIDEST_M
+    return narrow and cut_polygon(polygon, box.copy())
+
+
+@compiled
+def tighten(polygon: NDArray[np.float64], slack: float) -> None:
+    """Each side as tight as two others make it: in two dimensions that is all. `slack`: of rounding.
+
+    Going round, a side is let go that its neighbours leave no edge (as in Graham's scan); what is kept goes on as the
+    neighbour. Once round is enough to forget where that began, and once more to see what follows; so only the second of
+    three laps counts. Any two sides bound those between them, so a mistake of rounding here costs nothing but width.
+    """
+    kept = np.empty(3 * SIDES, np.int64)
+    count = 0
+    for m in range(3 * SIDES):
+        while count > 1 and m - kept[count - 2] < HALF:
+            if polygon[kept[count - 1] % SIDES] < by_two_sides(polygon, kept[count - 2], kept[count - 1], m):
+                break
+            count -= 1
+        kept[count] = m
+        count += 1
+    for k in range(count - 1):
+        i, j = kept[k], kept[k + 1]
+        if j - i < HALF:
+            for m in range(max(i + 1, SIDES), min(j, 2 * SIDES)):
+                side = m % SIDES
+                polygon[side] = min(polygon[side], up(by_two_sides(polygon, i, m, j) + slack))
+
+
+@compiled
+def by_two_sides(polygon: NDArray[np.float64], i: int, m: int, j: int) -> float:
+    """h_m is no more than this, for directions i < m < j less than half a turn apart.
+
+    d_m = (sin(j - m) d_i + sin(m - i) d_j) / sin(j - i), and h_m is at most the same of h_i and h_j.
+    """
+    return float((SINES[j - m] * polygon[i % SIDES] + SINES[m - i] * polygon[j % SIDES]) / SINES[j - i])
+
+
+@compiled
 def moved_polygon(
     polygon: NDArray[np.float64],
-    heading: NDArray[np.float64],
-    seconds: NDArray[np.float64],
-    way: NDArray[np.float64],
-    by_bias: NDArray[np.float64],
-    error: NDArray[np.float64],
-    reference: NDArray[np.float64],
+    blocks: Blocks,
     now_s: float,
     quantum: float,
     drift: float,
@@ -90,15 +120,12 @@ def moved_polygon(
     yaw: NDArray[np.float64],
     out: NDArray[np.float64],
 ) -> bool:
-    """out [SIDES] encloses where a point of polygon is after the block in row 0; False where that is not known.
+    """out [SIDES] encloses where a point of polygon is after block 0 of the two; False where that is not known.
 
-    As in `chain`, with yaw [2] and bias [2] now; rows 1 of heading and seconds are now's. The way turned by the yaw's
-    half-width w as in `paving.fits` (SMF equation 23), for any direction in the place of the axes.
+    As in `chain`, with yaw [2] and bias [2] now; block 1 is now's, with no offsets in either. The way turned by the
+    yaw's half-width w as in `paving.fits` (SMF equation 23), for any direction in the place of the axes.
     """
-    ways = chain(
-        1, np.zeros((2, 2, 2)), heading, seconds, way, by_bias, error, reference, now_s, quantum, bias[0], bias[1],
-        drift,
-    )  # fmt: skip
+    ways = chain(1, blocks, now_s, quantum, bias[0], bias[1], drift)
     if ways.oldest > 0:
         return False
     psi = mid((yaw[0], yaw[1]))

@@ -7,8 +7,9 @@ from drivers.compiled import compiled
 from estimator.ellipsoid import EMPTY, Ellipsoid, box, extent, half_width, meet_axis
 from estimator.ellipsoidal_motion import BIAS, UNITS, YAW, HeadingStep, X, Y, memory, travel_ellipsoid
 from estimator.interval import ULP, Interval, add, mid, reach, up, widen
-from estimator.motion import TrackBounds, relative_yaw, relative_yaw_between, tracked
+from estimator.motion import TrackBounds, relative_yaw, relative_yaw_between
 from estimator.position import ANYWHERE_M
+from estimator.tracks import tracked
 
 WIDEST_YAW = 1.0
 """rad: beyond this half-width there is no ellipsoid."""
@@ -58,7 +59,7 @@ def show(
     newest: int,
     bias: Interval,
 ) -> bool:
-    """E's outer box: in rows `place` and the next of core and pending (see motion.travel) and of the newest box `here`,
+    """E's outer box: in rows `place` and the next of core and pending (see tracks.travel) and of the newest box `here`,
     and in row `yaw` of the turns [n, c, 2] from `node` on, while tied to it. False if that yaw is too wide.
     """
     for i in range(2):

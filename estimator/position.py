@@ -10,23 +10,23 @@ from numpy.typing import NDArray
 from drivers.compiled import compiled
 from drivers.config import EncodersConfig
 from drivers.samples import WheelTicks
-from estimator.attitude import EARTH_YAW, MAP_YAW, UNKNOWN_TILT, UNKNOWN_YAW, AttitudeChain
+from estimator.attitude import EARTH_YAW, MAP_YAW, AttitudeChain
 from estimator.bounded_pose import PlanarEllipsoid
 from estimator.config import FilterConfig, RobotConfig
+from estimator.encoder_step import encoder_step
 from estimator.gps_window import GpsWindow
 from estimator.inconsistency import Journal
-from estimator.interval import Interval, meet, up, widen
-from estimator.motion import QUANTUM, TrackBounds, aged_bias, relative_yaw_between, travel_in_all_frames
+from estimator.interval import meet, up, widen
+from estimator.motion import QUANTUM, TrackBounds
 from estimator.relaxed_window import RelaxedWindow
 from estimator.slip_ledger import SlipLedger
-from estimator.tube import Tube, first_not_before, hull_between, last_not_after
+from estimator.tube import Tube
 
 NO_EPOCH = -1
 """Of counts that nothing may be subtracted from."""
 MAP, EARTH, LOCAL = slice(0, 3), slice(3, 6), slice(6, 9)
 """Rows of what a step is followed with: in the map, on Earth (east, north, up), and along its own heading."""
 ANYWHERE_M = 1e8
-UNKNOWN_ATTITUDE = np.array([[-UNKNOWN_TILT, UNKNOWN_TILT]] * 2 + [[-UNKNOWN_YAW, UNKNOWN_YAW]] * 2)
 
 
 class Step(NamedTuple):
@@ -38,8 +38,6 @@ class Step(NamedTuple):
     """... and the one surely not before the later."""
     attitude: NDArray[np.float64]
     """[4, 2] all of the time: roll, pitch, yaw in the map, yaw on Earth."""
-    local_yaw: Interval
-    """Yaw less the yaw at `before`."""
     left: float
     right: float
     """Travel of the tracks in metres;"""
@@ -47,11 +45,8 @@ class Step(NamedTuple):
     """... if the counter didn't restart."""
     time_high: float
     """Seconds, at most."""
-    turning: float
     telescoped: float
-    """Variations of the yaw rate's integral, see motion.travel;"""
-    turned_until: int
-    """... which is this much (effort) at the gyro node after the later reading."""
+    """Variation of the yaw rate's integral, see tracks.travel."""
 
 
 class PositionChain:
@@ -89,9 +84,8 @@ class PositionChain:
         self.window = RelaxedWindow(drift, wrong, config.wrong_fixes_of) if wrong else GpsWindow(drift, self.ledger)
         """The way since the fixes that are remembered."""
         self.last_ticks: WheelTicks | None = None
-        self._core = np.zeros((9, 2))  # see motion.travel
+        self._core = np.zeros((9, 2))  # see tracks.travel
         self._axis, self._pending = np.zeros(9), np.zeros(9)
-        self._net, self._swing = np.zeros((9, 2)), np.zeros(9)
         self._swept = np.zeros((4, 2))
         """Attitudes of the step."""
         self._fresh_count = True
@@ -115,58 +109,34 @@ class PositionChain:
 
     def predict(self, ticks: WheelTicks) -> Step:
         """travel: one node further, at the true time of this encoder reading."""
-        places, turns, attitude = self.tube, self._attitude.tube, self._attitude
-        step = self._step(ticks)
-        if not self._go(step):
-            excess = 0.5 * abs(step.left + step.right) - self.tracks.most_speed * step.time_high
-            self._journal.report("encoders", ticks.stamp.mid_ns, excess, "m")
-            step = step._replace(counted=False)
-            self._go(step)
-        self._fresh_count = not step.counted
-        self._turned_until = step.turned_until
-        self.last_ticks = ticks
-        self.ledger.step(ticks.stamp, step.left, step.right, step.counted, step.time_high)
-        i, heading = places.push(ticks.stamp.earliest_ns, ticks.stamp.latest_ns), turns.heading[step.before]
-        place_node(
-            i, heading, self._net, self._swing, self._core, self._pending, places.net, places.swing, places.local,
-            places.heading, places.box,
-        )  # fmt: skip
-        self.window.extend(
-            self._core[LOCAL], self._axis[LOCAL], heading, self.quantum, attitude.bias[2],
-            int(turns.times[turns.newest, 1]) * 1e-9,
-        )  # fmt: skip
-        return step
-
-    def _step(self, ticks: WheelTicks) -> Step:
-        """What is known of the way since the last reading."""
-        last, chain, turns = self.last_ticks, self._attitude, self._attitude.tube
+        places, attitude, last = self.tube, self._attitude, self.last_ticks
         assert last is not None, "begin comes first"
-        began_ns, attitude = int(self.tube.times[self.tube.newest, 0]), self._swept
-        time_high = up((ticks.stamp.latest_ns - began_ns) * 1e-9)
-        a, b, local_yaw, turned, turned_until = swept_over(
-            turns.times, turns.box, turns.swing, turns.heading, turns.effort, turns.begin, turns.end, began_ns,
-            ticks.stamp.latest_ns, chain.bias, chain.gyro.bias_drift, attitude,
-        )  # fmt: skip
-        until = max(self._turned_until, turned_until)
-        turning, telescoped = up(chain.gyro.most_rate * time_high), (until - self._turned_until) * QUANTUM
-        if a >= turns.begin:
-            turning = min(turning, turned)
-        else:
-            self._journal.counts["attitude_history_missed"] += 1
-            a, attitude, local_yaw = b, UNKNOWN_ATTITUDE, (-UNKNOWN_YAW, UNKNOWN_YAW)
-            telescoped = up(turning + telescoped)
+        turns, i = attitude.tube, places.room(ticks.stamp.earliest_ns)
         counted = ticks.epoch == last.epoch
         left = (ticks.left - last.left) * self._left_m if counted else nan
         right = (ticks.right - last.right) * self._right_m if counted else nan
-        return Step(a, b, attitude, local_yaw, left, right, counted, time_high, turning, telescoped, until)
-
-    def _go(self, step: Step) -> bool:
-        """Travel this step; False if the tracks ran faster than the robot can."""
-        return travel_in_all_frames(
-            step.attitude, step.local_yaw, step.left, step.right, step.counted, step.time_high, step.turning,
-            step.telescoped, tuple(self.tracks), self._axis, self._fresh_count, self._core, self._net, self._swing,
-            self._pending,
+        a, b, remembered, sound, time_high, telescoped, self._turned_until = encoder_step(
+            i, places.begin, ticks.stamp.earliest_ns, ticks.stamp.latest_ns, left, right, counted, self._fresh_count,
+            self._turned_until, tuple(self.tracks), turns.begin, turns.end, turns.times, turns.box, turns.swing,
+            turns.heading, turns.effort, attitude.bias, attitude.gyro.bias_drift, attitude.gyro.most_rate,
+            places.times, places.box, places.swing, places.net, places.local, places.heading, self._swept, self._core,
+            self._axis, self._pending,
         )  # fmt: skip
+        places.end = i + 1
+        if not remembered:
+            self._journal.counts["attitude_history_missed"] += 1
+        if not sound:
+            excess = 0.5 * abs(left + right) - self.tracks.most_speed * time_high
+            self._journal.report("encoders", ticks.stamp.mid_ns, excess, "m")
+            counted = False
+        self._fresh_count = not counted
+        self.last_ticks = ticks
+        self.ledger.step(ticks.stamp, left, right, counted, time_high)
+        self.window.extend(
+            self._core[LOCAL], self._axis[LOCAL], places.heading[i], self.quantum, attitude.bias[2],
+            int(turns.times[turns.newest, 1]) * 1e-9,
+        )  # fmt: skip
+        return Step(a, b, self._swept, left, right, counted, time_high, telescoped)
 
     def contract(self, narrowed: NDArray[np.float64], yaws: NDArray[np.float64]) -> bool:
         """The newest place is in narrowed [6, 2], the newest yaws in [2, 2]; False, and all stays, if that can't be."""
@@ -219,62 +189,6 @@ class PositionChain:
         """How far the turning centre may have moved (m) between gyro node `before` and the end of the newest step."""
         turned = (self._turned_until - int(self._attitude.tube.effort[before, 2])) * QUANTUM
         return up(self.tracks.turning_centre * turned)
-
-
-@compiled
-def swept_over(
-    times: NDArray[np.int64],
-    box: NDArray[np.float64],
-    swing: NDArray[np.float64],
-    heading: NDArray[np.float64],
-    effort: NDArray[np.int64],
-    begin: int,
-    end: int,
-    began_ns: int,
-    ended_ns: int,
-    bias: NDArray[np.float64],
-    drift: float,
-    attitude: NDArray[np.float64],
-) -> tuple[int, int, Interval, float, int]:
-    """The gyro nodes a and b around [began_ns, ended_ns], which the newest is not before; what they say of that time.
-
-    attitude [4, 2] and the yaw less that at a, over all of it; how far ω_z turned (rad), and its effort at b. Where the
-    history is too short, so that a is before `begin`, only the effort is of use.
-    """
-    a, b = last_not_after(times, begin, end, began_ns), first_not_before(times, begin, end, ended_ns)
-    if a < begin:
-        return a, b, (0.0, 0.0), 0.0, effort[b, 2]
-    hull_between(box, swing, a, b, attitude)
-    recent = aged_bias((bias[2, 0], bias[2, 1]), drift, times[a, 0], times[end - 1, 1])
-    local_yaw = relative_yaw_between(heading, swing, a, b, heading[a], recent)
-    return a, b, local_yaw, (effort[b, 2] - effort[a, 2]) * QUANTUM, effort[b, 2]
-
-
-@compiled
-def place_node(
-    i: int,
-    heading: NDArray[np.float64],
-    net: NDArray[np.float64],
-    swing: NDArray[np.float64],
-    core: NDArray[np.float64],
-    pending: NDArray[np.float64],
-    nets: NDArray[np.float64],
-    swings: NDArray[np.float64],
-    locals_: NDArray[np.float64],
-    headings: NDArray[np.float64],
-    box: NDArray[np.float64],
-) -> None:
-    """Node i of the tube, after a step along `heading` with what `travel_in_all_frames` says of it (net to pending).
-
-    Its box is the core with what is still to come undone.
-    """
-    headings[i] = heading
-    for c in range(3):
-        nets[i, c] = net[c]
-        locals_[i, c, 0], locals_[i, c, 1], locals_[i, c, 2] = net[6 + c, 0], net[6 + c, 1], swing[6 + c]
-    for c in range(6):
-        swings[i, c] = swing[c]
-        box[i, c, 0], box[i, c, 1] = widen((core[c, 0], core[c, 1]), pending[c])
 
 
 @compiled

@@ -15,6 +15,7 @@ from drivers.compiled import compiled
 from estimator.chaining import Chain, chain
 from estimator.gps_window import GpsWindow
 from estimator.interval import add, down, mid, reach, sub, up, widen
+from estimator.odometry_block import Blocks
 from estimator.paving import place_by
 
 CELLS = 16
@@ -38,7 +39,7 @@ class RelaxedWindow(GpsWindow):
         """The last step's axis upward; NaN before the block's first."""
 
     def extend(self, step: Floats, axis: Floats, heading: Floats, quantum: float, bias: Floats, now_s: float) -> None:
-        """As GpsWindow's; heights go along. A count's error is paid for where the axis changes, see motion.travel."""
+        """As GpsWindow's; heights go along. A count's error is paid for where the axis changes, see tracks.travel."""
         if self.count:
             k, slope = self.count - 1, float(axis[2])
             bent = 0.0 if np.isnan(self._slope) else up(quantum * up(abs(slope - self._slope)))
@@ -59,15 +60,11 @@ class RelaxedWindow(GpsWindow):
     ) -> bool:
         """As GpsWindow's, with antenna, offset and place [3, 2]; False where more than `wrong` must be wrong."""
         k = self.count
-        self._antenna[k], self._offset[k] = antenna[:2], offset[:2]
-        self._heading[k], self._seconds[k] = heading, seconds[0]
+        self._put(k, antenna[:2], offset[:2], heading, seconds[0])
         self._heights[k] = sub((antenna[2, 0], antenna[2, 1]), (offset[2, 0], offset[2, 1]))
         if not self._level(place[2], quantum):
             return False
-        return contract_by_most(
-            k, self._wrong, self._antenna, self._offset, self._heading, self._seconds, self._way, self._by_bias,
-            self._error, self._bias, seconds[1], quantum, self._drift, bias, yaw, place[:2],
-        )  # fmt: skip
+        return contract_by_most(k, self._wrong, self._blocks, seconds[1], quantum, self._drift, bias, yaw, place[:2])
 
     def _level(self, height: Floats, quantum: float) -> bool:
         """Contract the height [2]."""
@@ -136,14 +133,7 @@ def relaxed(ends: Floats, count: int, needed: int, out: Floats) -> bool:
 def contract_by_most(
     count: int,
     wrong: int,
-    antenna: Floats,
-    offset: Floats,
-    heading: Floats,
-    seconds: Floats,
-    way: Floats,
-    by_bias: Floats,
-    error: Floats,
-    reference: Floats,
+    blocks: Blocks,
     now_s: float,
     quantum: float,
     drift: float,
@@ -154,12 +144,10 @@ def contract_by_most(
     """Chain, and pave; see RelaxedWindow.narrowed."""
     if count < wrong:
         return True
-    ways = chain(
-        count, offset, heading, seconds, way, by_bias, error, reference, now_s, quantum, bias[0], bias[1], drift
-    )
+    ways = chain(count, blocks, now_s, quantum, bias[0], bias[1], drift)
     for _ in range(ROUNDS):
         width = yaw[1] - yaw[0]
-        if not pave_relaxed(count, wrong, antenna, ways, yaw, place):
+        if not pave_relaxed(count, wrong, blocks, ways, yaw, place):
             return False
         if yaw[1] - yaw[0] > 0.9 * width:
             break
@@ -170,7 +158,7 @@ def contract_by_most(
 def pave_relaxed(
     count: int,
     wrong: int,
-    antenna: Floats,
+    blocks: Blocks,
     ways: Chain,
     yaw: Floats,
     place: Floats,
@@ -191,7 +179,7 @@ def pave_relaxed(
         if cell == CELLS - 1 and not around:
             last = yaw[1]
         for j in range(count + 1):
-            boxes_at(j, mid((first, last)), reach((first, last), mid((first, last))), antenna, ways, ends)
+            boxes_at(j, mid((first, last)), reach((first, last), mid((first, last))), blocks, ways, ends)
         room[:] = place
         if agreed(ends, count + 1, wrong, room):
             left[cell] = True
@@ -212,12 +200,12 @@ def pave_relaxed(
 
 
 @compiled
-def boxes_at(j: int, psi: float, w: float, antenna: Floats, ways: Chain, ends: Floats) -> None:
+def boxes_at(j: int, psi: float, w: float, blocks: Blocks, ways: Chain, ends: Floats) -> None:
     """ends[j] [2, 2], where base_link is by fix j, for yaw in psi ± w."""
     if j < ways.oldest:
         ends[j, :, 0], ends[j, :, 1] = -np.inf, np.inf
         return
-    ends[j, 0], ends[j, 1] = place_by(j, cos(psi), sin(psi), w, antenna, ways)
+    ends[j, 0], ends[j, 1] = place_by(j, cos(psi), sin(psi), w, blocks, ways)
 
 
 @compiled

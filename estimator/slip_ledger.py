@@ -87,7 +87,7 @@ class SlipLedger:
 def enter(
     sums: NDArray[np.float64], left: float, right: float, counted: bool, time_high: float, tracks: tuple[float, ...]
 ) -> None:
-    """One step more in sums [4]; its slips bounded as in `motion.tracked`, which must not have cut the way short."""
+    """One step more in sums [4]; its slips bounded as in `tracks.tracked`, which must not have cut the way short."""
     bounds = TrackBounds(*tracks)
     if not counted:
         sums[BREAKS] += 1.0

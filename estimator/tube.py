@@ -39,12 +39,14 @@ class Tube:
         self.end = 1
 
     def __deepcopy__(self, memo: dict[int, object]) -> "Tube":
-        """The nodes that there are; the rest of the arrays is memory not yet touched, and costs nothing."""
+        """The nodes that are still needed; the rest of the arrays is memory not yet touched, and costs nothing."""
         new = copy(self)
+        if len(self):
+            new.begin = self._first_since(int(self.times[self.newest, 0]) - self._history_ns)
         for name in PER_NODE:
             old = getattr(self, name)
             mine = np.zeros(old.shape, old.dtype)
-            mine[self.begin : self.end] = old[self.begin : self.end]
+            mine[new.begin : new.end] = old[new.begin : new.end]
             setattr(new, name, mine)
         return new
 
@@ -61,11 +63,16 @@ class Tube:
 
         A true time is not before its predecessor's, and the predecessor's not after it.
         """
+        i = self.room(earliest_ns)
+        put_in_order(self.times, self.begin, i, earliest_ns, latest_ns)
+        self.end = i + 1
+        return i
+
+    def room(self, earliest_ns: int) -> int:
+        """Index of the node that comes next; it is the caller's to stamp (`put_in_order`), and to raise `end`."""
         if self.end == len(self.times):
             self._make_room(earliest_ns - self._history_ns)
-        put_in_order(self.times, self.begin, self.end, earliest_ns, latest_ns)
-        self.end += 1
-        return self.end - 1
+        return self.end
 
     def prepend(self, time_ns: int) -> int:
         """Index of a new node before the first one, at one exact time."""
@@ -74,10 +81,13 @@ class Tube:
         self.effort[self.begin] = 0
         return self.begin
 
+    def _first_since(self, keep_from_ns: int) -> int:
+        """The newest node that is surely not after then; the oldest if there is none."""
+        return min(max(self.before(keep_from_ns), self.begin), self.end - 1)
+
     def _make_room(self, keep_from_ns: int) -> None:
         """Move what is still needed to the front, or double the arrays where nearly all is."""
-        keep = int(np.searchsorted(self.times[self.begin : self.end, 1], keep_from_ns, side="right"))
-        first = min(self.begin + max(keep - 1, 0), self.end - 1)
+        first = self._first_since(keep_from_ns)
         size = self.end - first
         capacity = len(self.times) * (2 if size > len(self.times) // 2 else 1)
         for name in PER_NODE:

@@ -8,7 +8,19 @@ import numpy as np
 import pytest
 
 from bench.prove_poses import LOSSES, STAMPS, Case, prove_poses
-from estimator import anchoring, attitude, gps_window, interval, motion, observations, paving, position
+from estimator import (
+    anchoring,
+    attitude,
+    encoder_step,
+    gps_window,
+    gyro_step,
+    interval,
+    motion,
+    observations,
+    paving,
+    position,
+    tracks,
+)
 
 
 @pytest.mark.parametrize(
@@ -52,11 +64,14 @@ def without_remainder(patch: pytest.MonkeyPatch) -> None:
 
     patch.setattr(motion, "weighted", weighted)
     patch.setattr(motion, "reach", lambda a, c: 0.0)
-    patch.setattr(motion, "tracked", interpreted(motion.tracked))
-    patch.setattr(motion, "travel", interpreted(motion.travel))
-    patch.setattr(position, "travel_in_all_frames", interpreted(motion.travel_in_all_frames))
-    patch.setattr(attitude, "turn", interpreted(motion.turn))
-    patch.setattr(attitude, "turn_node", interpreted(attitude.turn_node))
+    patch.setattr(tracks, "reach", lambda a, c: 0.0)
+    patch.setattr(tracks, "tracked", interpreted(tracks.tracked))
+    patch.setattr(tracks, "travel", interpreted(tracks.travel))
+    patch.setattr(encoder_step, "travel_in_all_frames", interpreted(tracks.travel_in_all_frames))
+    patch.setattr(position, "encoder_step", interpreted(encoder_step.encoder_step))
+    patch.setattr(gyro_step, "turn", interpreted(motion.turn))
+    patch.setattr(gyro_step, "turn_node", interpreted(gyro_step.turn_node))
+    patch.setattr(attitude, "gyro_step", interpreted(gyro_step.gyro_step))
 
 
 def without_slip(patch: pytest.MonkeyPatch) -> None:
@@ -89,16 +104,19 @@ def tilt_strip_inverted(patch: pytest.MonkeyPatch) -> None:
     def wrong(box: Any, known: bool, roll: float, *rest: Any) -> int:
         return right(box, known, -roll, *rest)
 
-    patch.setattr(attitude, "contract_tilt", wrong)
+    patch.setattr(gyro_step, "contract_tilt", wrong)
+    patch.setattr(attitude, "tilt_step", interpreted(gyro_step.tilt_step))
 
 
 def window_bounds_halved(patch: pytest.MonkeyPatch) -> None:
     """A fix is worth twice what it is worth."""
     right = paving.contract_by_window
 
-    def wrong(count: int, antenna: Any, *rest: Any) -> bool:
+    def wrong(count: int, blocks: Any, *rest: Any) -> bool:
+        trusting, antenna = blocks.copy(), blocks["antenna"]
         middle = antenna.mean(axis=2, keepdims=True)
-        return right(count, middle + 0.4 * (antenna - middle), *rest)
+        trusting["antenna"] = middle + 0.4 * (antenna - middle)
+        return right(count, trusting, *rest)
 
     patch.setattr("estimator.gps_window.contract_by_window", wrong)
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from estimator import ellipsoid as el
 from estimator import ellipsoidal_motion as em
-from estimator.frames import forward_axis, left_axis, up_axis
-from estimator.motion import Tracked
+from estimator.frames import columns
+from estimator.tracks import Tracked
 
 MS = 1e-3
 STEP, LAG = 20, 3
@@ -23,7 +23,7 @@ QUANTUM = 1e-3
 def axes(roll: float, pitch: float, yaw: float) -> tuple[NDArray[np.float64], ...]:
     """Columns of R."""
     frame = ((roll, roll), (pitch, pitch), (yaw, yaw))
-    return tuple(np.array(f(frame)).mean(axis=1) for f in (forward_axis, left_axis, up_axis))
+    return tuple(np.array(axis).mean(axis=1) for axis in columns(frame))
 
 
 class Drive:

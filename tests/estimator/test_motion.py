@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from estimator.frames import forward_axis, left_axis, up_axis
-from estimator.motion import GyroBounds, TrackBounds, excursion, rotate, tracked, travel, turn, variation
+from estimator.frames import columns
+from estimator.motion import GyroBounds, TrackBounds, excursion, rotate, turn, variation
+from estimator.tracks import tracked, travel
 
 STEPS = 400
 """Substeps of the brute-force integration."""
@@ -166,7 +167,7 @@ def test_travel_encloses_drives_with_slip_and_quantised_counts(reverse: bool) ->
             box = np.stack([centre - half[trial], centre + half[trial]], axis=1)
             roll, pitch, yaw = (float(a) for a in attitude)
             frame = ((roll, roll), (pitch, pitch), (yaw, yaw))
-            ahead, left, above = (np.array(f(frame))[:, 0] for f in (forward_axis, left_axis, up_axis))
+            ahead, left, above = (np.array(axis)[:, 0] for axis in columns(frame))
             lateral = sign[0] * (TRACKS.lateral * abs(v) + TRACKS.turning_centre * abs(wz))
             true = true + time * (v * ahead + lateral * left + sign[1] * TRACKS.normal * abs(v) * above)
             track = track + time * np.array([v - 0.1, v + 0.1]) / (1.0 + TRACKS.slip * sign[4:6])

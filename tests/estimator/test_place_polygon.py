@@ -5,7 +5,8 @@ from math import cos, pi, sin
 import numpy as np
 import pytest
 
-from estimator.fan import DIRECTIONS, add_segment, support
+from estimator.fan import add_segment, support
+from estimator.odometry_block import BLOCK
 from estimator.place_polygon import SIDE_EAST, SIDE_NORTH, SIDES, cut_polygon, moved_polygon, polygon_of
 
 
@@ -63,17 +64,15 @@ def test_a_way_with_errors_at_their_bounds_stays_inside_and_along_it_nothing_is_
         yaw_true, way = random.uniform(-pi, pi), 1.0
         half = np.radians(random.choice([0.0, 3.0]))
         yaw = np.array([yaw_true - half, yaw_true + half]) - random.choice([-1.0, 0.0, 1.0]) * half
-        fan = np.zeros((2, DIRECTIONS))
-        add_segment(fan[0], 0.02, 0.0)
-        add_segment(fan[0], 0.0, 0.005)
+        blocks = np.zeros(2, BLOCK)
+        fan = blocks["error"][0]
+        add_segment(fan, 0.02, 0.0)
+        add_segment(fan, 0.0, 0.005)
         start, out = np.empty(SIDES), np.empty(SIDES)
         box = np.array([[-0.02, 0.02], [-0.03, 0.03]])
         polygon_of(box, start)
-        none = np.zeros((2, 2))
-        ways = np.array([[way, 0.0], [0.0, 0.0]])
-        assert moved_polygon(
-            start, np.zeros((2, 3)), np.zeros(2), ways, none, fan, np.zeros(2), 0.0, 0.0, 0.0, np.zeros(2), yaw, out
-        )
+        blocks["way"][0] = way, 0.0
+        assert moved_polygon(start, blocks, 0.0, 0.0, 0.0, np.zeros(2), yaw, out)
         local = np.array([way + 0.02 * random.choice([-1, 1]), 0.005 * random.choice([-1, 1])])
         c, s = cos(yaw_true), sin(yaw_true)
         from_ = np.array([random.choice(axis) for axis in box])
@@ -83,4 +82,4 @@ def test_a_way_with_errors_at_their_bounds_stays_inside_and_along_it_nothing_is_
         along = round(middle / (2.0 * pi) * SIDES) % SIDES
         if half == 0.0:
             x, y = cos(along * 2.0 * pi / SIDES - middle), sin(along * 2.0 * pi / SIDES - middle)
-            assert out[along] <= start[along] + way * x + support(fan[0], x, y) + 1e-9
+            assert out[along] <= start[along] + way * x + support(fan, x, y) + 1e-9

@@ -1,0 +1,148 @@
+"""One step of the attitude chain, in one piece of machine code: from one gyro packet to the next."""
+
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.compiled import compiled
+from drivers.samples import Vector3
+from estimator.gyro_packets import (
+    EARLIEST_NS,
+    EFFORT,
+    INTERVALS,
+    LEARNING_PACKETS,
+    NO_PACKET,
+    REMEMBERED,
+    append,
+    around,
+    elapsed,
+    goes_back,
+)
+from estimator.motion import QUANTUM, UNKNOWN_TILT, UNKNOWN_YAW, GyroBounds, rotate, turn
+from estimator.observations import contract_tilt
+from estimator.tube import put_in_order
+
+LOST_YAW = 10.0
+"""Added to the heading's error where a turn could not be enclosed (rad)."""
+DONE, CONTRADICTS, TOO_LITTLE = 0, 1, 2
+"""What contract_tilt says."""
+TOO_EARLY, MUST_WAIT = 3, 4
+"""... and what else tilt_step does."""
+
+
+@compiled
+def gyro_step(
+    i: int,
+    begin: int,
+    earliest_ns: int,
+    latest_ns: int,
+    epoch: int,
+    device_us: int,
+    resolution_us: int,
+    rate: Vector3,
+    newest: int,
+    numbers: NDArray[np.int64],
+    rates: NDArray[np.float64],
+    learnt: NDArray[np.float64],
+    clock_drift: float,
+    level: bool,
+    bounds: tuple[float, ...],
+    bias: NDArray[np.float64],
+    times: NDArray[np.int64],
+    box: NDArray[np.float64],
+    swing: NDArray[np.float64],
+    net: NDArray[np.float64],
+    heading: NDArray[np.float64],
+    effort: NDArray[np.int64],
+) -> tuple[bool, bool, bool, bool, float]:
+    """rotate -> turn: node i of the turns [begin, i), at the true time of a packet, which becomes number newest + 1.
+
+    `bounds` are GyroBounds as a plain tuple, which is handed over four times as fast.
+
+    Returns: was the packet newer than the newest; did no axis turn faster than declared; is the attitude a verified
+    box, as it was before (`level`); did packets get lost; how wrong the board's clock surely is, in s.
+    """
+    last = numbers[newest % REMEMBERED]
+    back, off_s = goes_back(last, earliest_ns, latest_ns, epoch, device_us, resolution_us, clock_drift)
+    if back:
+        return False, True, level, False, off_s
+    began_ns = last[EARLIEST_NS]
+    least_s, most_s, earliest_ns, latest_ns, gap, off_s = elapsed(
+        last, earliest_ns, latest_ns, epoch, device_us, resolution_us, clock_drift, learnt
+    )
+    lost = gap and learnt[INTERVALS] > LEARNING_PACKETS
+    put_in_order(times, begin, i, earliest_ns, latest_ns)
+    sound, level = turn_node(
+        i, rate, least_s, most_s, gap, level, GyroBounds(*bounds), bias, box, swing, net, heading, effort
+    )
+    append(
+        numbers, rates, newest + 1, earliest_ns, latest_ns, began_ns, epoch, device_us, resolution_us, effort[i], rate
+    )
+    return True, sound, level, lost, off_s
+
+
+@compiled
+def turn_node(
+    i: int,
+    rate: Vector3,
+    least_s: float,
+    most_s: float,
+    gap: bool,
+    level: bool,
+    bounds: GyroBounds,
+    bias: NDArray[np.float64],
+    box: NDArray[np.float64],
+    swing: NDArray[np.float64],
+    net: NDArray[np.float64],
+    heading: NDArray[np.float64],
+    effort: NDArray[np.int64],
+) -> tuple[bool, bool]:
+    """Node i of the tube from the one before: rotate -> turn, with an attitude unknown where that can't be enclosed.
+
+    Did no axis turn faster than declared; is the attitude a verified box, as it was before (`level`).
+    """
+    varied, plain = np.empty(3), np.empty(5)
+    measured = (float(rate[0]), float(rate[1]), float(rate[2]))
+    sound = rotate(measured, bias, least_s, most_s, gap, bounds, net[i], varied, plain)
+    for axis in range(3):
+        effort[i, axis] = effort[i - 1, axis] + ceil(varied[axis] / QUANTUM) + 1
+    box[i], heading[i], swing[i] = box[i - 1], heading[i - 1], 0.0
+    still_level = level and turn(box[i], net[i], varied, swing[i], plain, heading[i])
+    if not still_level:
+        heading[i, 2] += LOST_YAW
+        for c in range(box.shape[1]):
+            if c < 2:
+                box[i, c, 0], box[i, c, 1] = -UNKNOWN_TILT, UNKNOWN_TILT
+            elif level:
+                yaw = 0.5 * (box[i, c, 0] + box[i, c, 1])
+                box[i, c, 0], box[i, c, 1] = min(box[i, c, 0], yaw - UNKNOWN_YAW), max(box[i, c, 1], yaw + UNKNOWN_YAW)
+    return sound, still_level
+
+
+@compiled
+def tilt_step(
+    box: NDArray[np.float64],
+    known: bool,
+    tilt: tuple[float, float],
+    tilt_error: float,
+    ahead: float,
+    left: float,
+    accel_error: float,
+    earliest_ns: int,
+    latest_ns: int,
+    epoch: int,
+    device_us: int,
+    resolution_us: int,
+    numbers: NDArray[np.int64],
+    begin: int,
+    end: int,
+) -> int:
+    """Contract roll and pitch of the newest box by a reading made between two of the packets; see contract_tilt."""
+    k = around(numbers, begin, end, earliest_ns, latest_ns, epoch, device_us, resolution_us)
+    if k < 0:
+        return TOO_EARLY if k == NO_PACKET else MUST_WAIT
+    newest, before = numbers[(end - 1) % REMEMBERED], numbers[k % REMEMBERED]
+    return contract_tilt(
+        box, known, tilt[0], tilt[1], tilt_error, ahead, left, accel_error, newest[EFFORT:], before[EFFORT:]
+    )
