@@ -23,7 +23,7 @@ MAX_BYTES = 1 << 18
 DIGEST_PART_TILES = 1000
 """Tiles that one message of a digest lists: below 48 KiB, beyond which a slow link loses fragments."""
 
-_WIRE = ConfigDict(extra="ignore", allow_inf_nan=False, strict=True)
+_WIRE = ConfigDict(extra="ignore", allow_inf_nan=False, strict=True, defer_build=True)
 _Crc = Annotated[int, Field(ge=0, lt=2**32)]
 _Count = Annotated[int, Field(ge=0)]
 _Index = Annotated[int, Field(ge=-(2**31), lt=2**31)]
@@ -140,14 +140,19 @@ class DigestPart:
     entries: Annotated[list[DigestEntry], Field(max_length=DIGEST_PART_TILES)]
 
 
-_ADAPTERS: dict[type, TypeAdapter[Any]] = {
-    kind: TypeAdapter(kind) for kind in (GuaranteeMessage, PoseMessage, AnchorMessage, TileNote, DigestPart)
-}
+_ADAPTERS: dict[type, TypeAdapter[Any]] = {}
+
+
+def _adapter(kind: type) -> TypeAdapter[Any]:
+    """Made when it is first wanted: a start needs few of them."""
+    if kind not in _ADAPTERS:
+        _ADAPTERS[kind] = TypeAdapter(kind)
+    return _ADAPTERS[kind]
 
 
 def write(message: object) -> bytes:
     """A message as JSON."""
-    return _ADAPTERS[type(message)].dump_json(message)
+    return _adapter(type(message)).dump_json(message)
 
 
 def write_note(
@@ -164,7 +169,7 @@ def read(kind: type[T], data: bytes) -> T:
     if len(data) > MAX_BYTES:
         raise MalformedMessage(f"{len(data)} bytes are too many")
     try:
-        message: T = _ADAPTERS[kind].validate_json(data)
+        message: T = _adapter(kind).validate_json(data)
     except ValidationError as error:
         raise MalformedMessage(str(error.errors(include_url=False)[0]["msg"])) from None
     return message

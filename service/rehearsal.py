@@ -15,8 +15,8 @@ from service.sample_queue import Arrival
 
 MS = 1_000_000
 BEGIN_NS = 10_000 * MS
-DRIVE_MS = 700
-LOST_MS = range(400, 440)
+DRIVE_MS = 500
+LOST_MS = range(300, 340)
 """Into the drive, the inertial board is silent, so that a gap is bridged once."""
 
 
@@ -25,7 +25,7 @@ def rehearse(config: Config) -> None:
     pipeline = Pipeline(config)
     # Long enough for the bias to be seen at standstill, which takes `standstill_s` before and after.
     still_ms = 300 + 10 * round(200.0 * (config.filter.standstill_s or 0.0))
-    for at_ms in range(0, still_ms + DRIVE_MS, 5):
+    for at_ms in (*range(0, still_ms, 20), *range(still_ms, still_ms + DRIVE_MS, 5)):
         for device, sample in _samples(at_ms, max(at_ms - still_ms, 0)):
             pipeline.step(Arrival(device, sample, 0))
     pipeline.finish()
