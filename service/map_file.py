@@ -8,9 +8,9 @@ from pathlib import Path
 from estimator.bounded_pose import Anchor, Guarantee
 from mapper.saved_map import assemble, save
 from mapper.tile import Tile
+from service.map_update import MAP_FRAME
 from service.messages import guarantee_message, write, write_anchor
 from service.pipeline import Pipeline
-from service.publisher import MAP_FRAME
 
 
 def save_map(pipeline: Pipeline, path: Path, out_of_memory: Iterable[Tile] = ()) -> None:

@@ -20,10 +20,11 @@ from service.devices import Device, wiring
 from service.lifecycle import process_age_s
 from service.map_file import save_map, save_tiles
 from service.map_keeper import MapKeeper, Unkept
+from service.map_update import MAP_FRAME, MapUpdate
 from service.messages import TileId, fault_values
 from service.pipeline import Pipeline
 from service.published_map import Recall, nothing_kept
-from service.publisher import MAP_FRAME, MapUpdate, Publisher
+from service.publisher import Publisher
 from service.readers import Readers
 from service.rehearsal import rehearse
 from service.rolling_window import RollingWindow

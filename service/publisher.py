@@ -10,53 +10,27 @@ import secrets
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
-from math import inf
+from functools import partial
 from typing import Any
 
 import zenoh
 
 from drivers.errors import LinkError
-from estimator.bounded_pose import INTACT, Anchor, BoundedPose, Guarantee
 from mapper.tile import Tile
-from mapper.tile_codec import compile_codec, encode
-from service.messages import (
-    DigestPart,
-    TileId,
-    TileNote,
-    digest_parts,
-    digest_root,
-    guarantee_message,
-    write,
-    write_anchor,
-    write_note,
-    write_plain,
-    write_pose,
-)
+from mapper.tile_codec import compile_codec
+from service.answers import Answers
+from service.map_update import MAP_FRAME, MapUpdate
+from service.periodic import Periodic
 from service.publish_config import PublishConfig
 from service.published_map import EarlierSubmap, PublishedMap, Recall, nothing_kept
+from service.published_state import PublishedState
 from service.session import AddressAway, ended_callback, open_session
 from service.session_ahead import SessionAhead
 from service.token_bucket import TokenBucket
-from service.topics import (
-    ANCHOR,
-    ANCHOR_OF,
-    DIGEST,
-    HEALTH,
-    INFO,
-    POSE,
-    TILE,
-    Topic,
-    anchor_key,
-    parse_tile_key,
-    robot_key,
-    tile_key,
-    topic_key,
-)
+from service.topics import TILE, Topic, robot_key, tile_key, topic_key
 
-MAP_FRAME = "map"
 FIRST_RETRY_S, LAST_RETRY_S = 0.2, 5.0
 """Back-off between attempts to open the session again."""
 MAX_QUERIES = 256
@@ -64,35 +38,6 @@ MAX_QUERIES = 256
 TILES_AT_A_TIME = 8
 """So many are sent between two looks at what else is due."""
 START_TIMEOUT_S = 15.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MapUpdate:
-    """What the pipeline hands over."""
-
-    tiles: tuple[Tile, ...]
-    """Whole tiles that changed since the last update."""
-    pose: BoundedPose | None
-    anchor: Anchor | None
-    health: Mapping[str, Any]
-    guarantee: Guarantee
-    released_ns: int
-    """Host's monotonic clock when the last sample in it had been read."""
-    forgotten: tuple[TileId, ...] = ()
-    """Tiles that the map has let go of since the last update: they are listed no more."""
-    beams_until_ns: int | None = None
-    """No beam in the tiles is newer."""
-
-
-@dataclass(slots=True)
-class _Answer:
-    """A question, and the keys still to be sent for it."""
-
-    query: zenoh.Query
-    tiles: Iterator[TileId]
-    topics: Iterator[Topic]
-    anchors: Iterator[int]
-    """Submaps whose anchors are asked for."""
 
 
 class Publisher:
@@ -119,13 +64,9 @@ class Publisher:
         """Names this run: subscribers begin anew when it changes."""
         self.failure: str | None = None
         """Why there is no session at present."""
-        self.submap = 0
-        """The one that is being mapped; set it before `start`."""
         self._config = config
         self._ahead = ahead
         self._robot = robot
-        self._info = {"robot": robot, "epoch": self.epoch, "frame": MAP_FRAME, "format": "docs/tile-format.md"}
-        self._info |= {} if info is None else dict(info)
         self._wake = threading.Condition()
         # Between the threads, under the condition's lock:
         self._slot: MapUpdate | None = None
@@ -137,31 +78,29 @@ class Publisher:
         self._refused: LinkError | None = None
         self._earlier_offered: Mapping[int, EarlierSubmap] = {}
         # The publisher thread's own:
-        self._map = PublishedMap(recall, tiles_in_memory)
-        self._earlier: Mapping[int, EarlierSubmap] = {}
+        about = {"robot": robot, "epoch": self.epoch, "frame": MAP_FRAME, "format": "docs/tile-format.md"}
+        about |= {} if info is None else dict(info)
+        published = PublishedMap(recall, tiles_in_memory)
+        self._state = PublishedState(self.epoch, about, published, self.counts, self.state)
         self._bucket = TokenBucket(config.max_bytes_per_s)
-        self._tiles: deque[Tile] = deque()
-        self._answers: deque[_Answer] = deque()
+        self._answers = Answers(robot, self._state, self._bucket, self.counts)
         self._update: MapUpdate | None = None
-        self._unsent_pose: BoundedPose | None = None
-        self._guarantee, self._guarantee_message = INTACT, guarantee_message(INTACT)
-        self._guarantee_json = write(self._guarantee_message)
-        self._beams_until_ns: dict[TileId, int] = {}
-        """Of the tiles that this run has sent."""
-        self._newest_anchor: Anchor | None = None
-        """Not written yet: that is done when one could be sent."""
-        self._anchor: bytes | None = None
-        self._unsent_anchor = False
-        self._health: Mapping[str, Any] | None = None
-        self._pose_due_s = self._health_due_s = self._digest_due_s = -inf
-        self._sequence = 0
-        self._final = False
-        """Is everything that was offered, all of it, sent? From a flush until the next offer."""
-        self._listed_root: int | None = None
+        """The one whose tiles are being sent."""
+        self._tiles: deque[Tile] = deque()
+        self._periodic = Periodic(config, robot, self._state)
         compile_codec()
         self._thread = threading.Thread(target=self._run, name="publisher", daemon=True)
 
     # Called by the pipeline and by whoever owns the publisher
+
+    @property
+    def submap(self) -> int:
+        """The one that is being mapped; set it before `start`."""
+        return self._state.submap
+
+    @submap.setter
+    def submap(self, number: int) -> None:
+        self._state.submap = number
 
     def start(self) -> None:
         """Open the session. Raises LinkError where its address is wrong or in use.
@@ -224,7 +163,7 @@ class Publisher:
         return {
             "open": self._started.is_set() and self.failure is None,
             "failure": self.failure,
-            "tiles_not_recalled": self._map.not_recalled,
+            "tiles_not_recalled": self._state.map.not_recalled,
             **self.counts,
         }
 
@@ -267,7 +206,7 @@ class Publisher:
 
     def _serve(self, session: zenoh.Session) -> None:
         """Send whatever is due, sleep until something is; few messages at a time, so that nothing waits long."""
-        self._listed_root = None
+        self._periodic.list_anew()
         with (
             ended_callback(self._ask) as ask,
             session.declare_queryable(f"{robot_key(self._robot)}/**", ask),
@@ -287,7 +226,7 @@ class Publisher:
                 if not self._tiles:
                     self._update = None
                 if self._answers:
-                    self._answer(self._answers[0])
+                    self._answers.send_next()
 
     def _ask(self, query: zenoh.Query) -> None:
         """A question has come (on a thread of Zenoh's): queue it for the publisher thread."""
@@ -320,107 +259,50 @@ class Publisher:
         """How long nothing is due."""
         if self._flush_wanted and self._update is None and self._slot is None:
             return 0.0
-        due_s = self._digest_due_s
-        if self._unsent_pose is not None:
-            due_s = min(due_s, self._pose_due_s)
-        if self._health is not None:
-            due_s = min(due_s, self._health_due_s)
-        delay_s = due_s - now_s
+        delay_s = self._periodic.due_s() - now_s
         if self._update is not None or self._answers:
             delay_s = min(delay_s, self._bucket.delay_s(now_s))
         return delay_s
 
     def _take_earlier(self) -> None:
-        """Earlier submaps have come: from now on the digest lists them."""
+        """Earlier submaps have come."""
         if self._earlier_offered:
-            self._earlier, self._earlier_offered = self._earlier_offered, {}
-            for submap in self._earlier.values():
-                self._map.adopt(submap.tiles)
+            self._state.adopt(self._earlier_offered)
+            self._earlier_offered = {}
+
+    def _take_questions(self) -> None:
+        """Questions have come."""
+        if self._questions:
+            self._state.write_anchor()
+        while self._questions:
+            self._answers.take(self._questions.popleft())
 
     def _take_update(self, update: MapUpdate) -> None:
         """An update has come: its tiles are next, the rest goes when it is due."""
         self._update = update
-        self._map.forget(update.forgotten)
-        for place in update.forgotten:
-            self._beams_until_ns.pop(place, None)
-        self._final = False
+        self._state.take(update)
         self._tiles.extend(update.tiles)
-        self._health = update.health
         if update.pose is not None:
-            self._unsent_pose = update.pose
-        self._newest_anchor = update.anchor or self._newest_anchor
-        if update.guarantee != self._guarantee:
-            self._guarantee, self._guarantee_message = update.guarantee, guarantee_message(update.guarantee)
-            self._guarantee_json = write(self._guarantee_message)
+            self._periodic.pose = update.pose
 
     def _send_periodic(self, session: zenoh.Session, now_s: float) -> None:
         """Pose, anchor, health, info and digest, each when it is due, and all at the end."""
         ending = self._flush_wanted and self._update is None and self.ready
-        if self._unsent_pose is not None and (ending or now_s >= self._pose_due_s):
-            self._pose_due_s = now_s + 1 / self._config.pose_rate_hz
-            pose, self._unsent_pose = self._unsent_pose, None
-            self._put(session, POSE, write_pose(pose))
-            self._write_anchor()
-        if self._health is not None and (ending or now_s >= self._health_due_s):
-            self._health_due_s = now_s + self._config.health_period_s
-            self._put(session, HEALTH, self._topic(HEALTH))
-        if self._unsent_anchor and self._anchor is not None:
-            self._unsent_anchor = False
-            self._put(session, ANCHOR, self._anchor)
-        self._final = self._final or ending
-        if ending or now_s >= self._digest_due_s:
-            self._digest_due_s = now_s + self._config.digest_period_s
-            self._send_digest(session)
-
-    def _send_digest(self, session: zenoh.Session) -> None:
-        """Info, anchor and digest; the tiles are listed only when something changed since the last listing."""
-        self._put(session, INFO, self._topic(INFO))
-        self._write_anchor()
-        if self._anchor is not None:
-            self._put(session, ANCHOR, self._anchor)
-        parts = list(self._digest(summary_if_root=self._listed_root))
-        for number, submap in self._earlier.items() if parts[0].parts else ():
-            if submap.anchor is not None:
-                self._put(session, ANCHOR_OF, submap.anchor, anchor_key(self._robot, number))
-        for part in parts:
-            self._put(session, DIGEST, write(part))
-            self._listed_root = part.root
-        with self._wake:
-            if self._flush_wanted and self._final and self._slot is None:
-                self._flush_wanted, self._flushed = False, True
-                self._wake.notify_all()
-
-    def _write_anchor(self) -> None:
-        """The newest anchor as it is sent, and whether it is another one than before."""
-        if self._newest_anchor is not None:
-            anchor, self._newest_anchor = write_anchor(self._newest_anchor), None
-            self._unsent_anchor = self._unsent_anchor or anchor != self._anchor
-            self._anchor = anchor
-
-    def _digest(self, summary_if_root: int | None = None) -> Iterator[DigestPart]:
-        """The present digest; a summary alone where its root is this one."""
-        self._sequence += 1
-        entries = self._map.entries()
-        root = digest_root(entries)
-        if root == summary_if_root:
-            return iter([DigestPart(self.epoch, self._sequence, self._final, len(entries), root, 0, 0, [])])
-        return digest_parts(self.epoch, self._sequence, self._final, entries, root)
+        if self._periodic.send(partial(self._put, session), now_s, ending):
+            with self._wake:
+                if self._flush_wanted and self._state.final and self._slot is None:
+                    self._flush_wanted, self._flushed = False, True
+                    self._wake.notify_all()
 
     def _send_tile(self, session: zenoh.Session, tile: Tile) -> None:
         """Send what changed of one tile since it was last sent."""
-        news = self._map.update(tile)
-        if news is None or self._update is None:
+        message = None if self._update is None else self._state.news(tile, self._update)
+        if message is None:
             return
-        kind, cells, version = news
-        payload = encode(cells, MAP_FRAME, time.time_ns())
-        place, beams_until_ns = TileId(tile.submap, tile.ix, tile.iy), self._update.beams_until_ns
-        if beams_until_ns is not None:
-            self._beams_until_ns[place] = beams_until_ns
-        note = write_note(self.epoch, version, self._guarantee_json, self._update.released_ns, beams_until_ns)
-        key = tile_key(self._robot, tile.submap, tile.ix, tile.iy, kind)
-        self.counts[f"{kind}_tiles"] += 1
-        self._bucket.spend(len(payload))
-        self._put(session, TILE, payload, key, note, at_once=not self._tiles)
+        key = tile_key(self._robot, tile.submap, tile.ix, tile.iy, message.kind)
+        self.counts[f"{message.kind}_tiles"] += 1
+        self._bucket.spend(len(message.payload))
+        self._put(session, TILE, message.payload, key, message.note, at_once=not self._tiles)
 
     def _put(
         self,
@@ -446,77 +328,3 @@ class Publisher:
         )
         self.counts["messages"] += 1
         self.counts["bytes"] += len(payload)
-
-    def _topic(self, topic: Topic) -> bytes:
-        """`info` and `health` as they are now."""
-        if topic is INFO:
-            return write_plain(self._info | {"submap": self.submap, "tiles": len(self._map)})
-        try:
-            return write_plain({**(self._health or {}), "publisher": self.state()})
-        except (ValueError, TypeError) as error:
-            self.counts["unsendable_health"] += 1
-            return write_plain({"failure": f"health can't be written: {error}", "publisher": self.state()})
-
-    # Answers to late joiners and for repair
-
-    def _take_questions(self) -> None:
-        """Work out which keys each waiting question asks for."""
-        if self._questions:
-            self._write_anchor()
-        while self._questions:
-            query = self._questions.popleft()
-            asked = query.key_expr
-            single = parse_tile_key(str(asked))
-            if single is not None:
-                place = TileId(single.submap, single.ix, single.iy)
-                tiles = iter([place] if single.kind == "full" and place in self._map else [])
-                self._answers.append(_Answer(query, tiles, iter([]), iter([])))
-                continue
-            topics = [t for t in (INFO, ANCHOR, HEALTH, DIGEST) if asked.intersects(topic_key(self._robot, t))]
-            matching = (place for place in self._map if asked.intersects(tile_key(self._robot, *place, "full")))
-            anchors = (n for n in [*self._earlier, self.submap] if asked.intersects(anchor_key(self._robot, n)))
-            self._answers.append(_Answer(query, matching, iter(topics), anchors))
-
-    def _answer(self, answer: _Answer) -> None:
-        """Send one message of an answer; a question whose answer is complete is let go."""
-        try:
-            if (topic := next(answer.topics, None)) is not None:
-                for payload in self._topic_answer(topic):
-                    key = topic_key(self._robot, topic)
-                    self._bucket.spend(len(payload))
-                    answer.query.reply(key, payload, encoding=topic.encoding)
-                return
-            if (submap := next(answer.anchors, None)) is not None:
-                anchor = self._earlier[submap].anchor if submap in self._earlier else self._anchor
-                if anchor is not None:
-                    self._bucket.spend(len(anchor))
-                    answer.query.reply(anchor_key(self._robot, submap), anchor, encoding=ANCHOR_OF.encoding)
-                return
-            place = next(answer.tiles, None)
-            published = None if place is None else self._map.get(place)
-            if place is not None and published is not None:
-                earlier = self._earlier.get(place.submap)
-                guarantee = self._guarantee_message if earlier is None else earlier.guarantee
-                beams_until_ns = self._beams_until_ns.get(place)
-                note = write(TileNote(self.epoch, published.version, guarantee, beams_until_ns=beams_until_ns))
-                payload = encode(published.tile, MAP_FRAME, time.time_ns())
-                self._bucket.spend(len(payload))
-                key = tile_key(self._robot, *place, "full")
-                answer.query.reply(key, payload, encoding=TILE.encoding, attachment=note)
-                self.counts["tiles_answered"] += 1
-                return
-        except zenoh.ZError:
-            # Who asked is gone.
-            self.counts["answers_failed"] += 1
-        self._answers.popleft()
-        answer.query.drop()  # type: ignore[no-untyped-call]  # the stub lacks a return type
-
-    def _topic_answer(self, topic: Topic) -> list[bytes]:
-        """What a get on a topic brings."""
-        if topic is DIGEST:
-            return [write(part) for part in self._digest()]
-        if topic is ANCHOR:
-            return [] if self._anchor is None else [self._anchor]
-        if topic is HEALTH and self._health is None:
-            return []
-        return [self._topic(topic)]

@@ -3,7 +3,7 @@
 from typing import Any
 
 from service.map_keeper import EarlierSubmaps
-from service.publisher import MapUpdate
+from service.map_update import MapUpdate
 
 
 class Unpublished:

@@ -18,8 +18,8 @@ from mapper.saved_map import SavedMap, assemble
 from service.commands.evaluation import PoseSets, check_bounds
 from service.config import LoadedConfig
 from service.devices import wiring
+from service.map_update import MAP_FRAME
 from service.pipeline import Pipeline
-from service.publisher import MAP_FRAME
 from service.robot_model import robot_model
 from service.sample_queue import Arrival
 from simulator.emulated_robot import SLICE_NS, emulate_devices

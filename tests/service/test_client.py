@@ -23,9 +23,10 @@ from mapper.tile import Tile, join, snap_outward
 from mapper.tile_codec import encode
 from service.client import RemoteMap
 from service.loopback import free_locator
+from service.map_update import MapUpdate
 from service.messages import GuaranteeMessage, TileId, TileNote, write
 from service.publish_config import PublishConfig
-from service.publisher import MapUpdate, Publisher
+from service.publisher import Publisher
 from service.session import open_session
 from service.topics import robot_key, tile_key
 

@@ -17,6 +17,7 @@ from estimator.bounded_pose import INTACT, Anchor, BoundedPose, Guarantee
 from mapper.tile import Tile, changed, content_crc, join, snap_outward, unseen_tile
 from mapper.tile_codec import decode
 from service.loopback import free_locator
+from service.map_update import MapUpdate
 from service.messages import (
     DigestEntry,
     DigestPart,
@@ -28,7 +29,7 @@ from service.messages import (
     read_pose,
 )
 from service.publish_config import PublishConfig
-from service.publisher import MapUpdate, Publisher
+from service.publisher import Publisher
 from service.session import open_session, with_send_buffer
 from service.token_bucket import TokenBucket
 from service.topics import GRID, parse_tile_key, robot_key, tile_key

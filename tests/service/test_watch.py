@@ -10,8 +10,9 @@ from mapper.saved_map import load
 from mapper.tile import Tile
 from service.cli import run_command
 from service.loopback import free_locator
+from service.map_update import MapUpdate
 from service.publish_config import PublishConfig
-from service.publisher import MapUpdate, Publisher
+from service.publisher import Publisher
 
 WAIT_S = 20.0
 
