@@ -239,9 +239,17 @@ def _random_ground(seed: int, count: int, cell: float) -> Array:
     return ground
 
 
+_HIGHEST_M = 1e5
+
+
 def _dem(seed: int, path: Path) -> Terrain:
     """The middle of a real elevation model, shrunk to 40 m and flattened until a robot can drive on it."""
     model = read_elevation_model(path)
+    if model.ndim != 2 or min(model.shape) < 2:
+        raise ValueError(f"heights {list(model.shape)}; at least [2, 2] are needed")
+    model[np.abs(model) > _HIGHEST_M] = np.nan  # no ground: a file's own sign for "no data"
+    if not np.isfinite(model).any():
+        raise ValueError("no height in it is a number")
     side = min(48, *model.shape)
     top, left = _most_filled_window(np.isfinite(model), side)
     patch = model[top : top + side, left : left + side]

@@ -32,6 +32,7 @@ from service.lifecycle import terminated_like_interrupted
 from service.loopback import free_locator
 from service.messages import write_pose
 from service.onboard import Onboard
+from service.output_files import refuse_unwritable
 from service.shipped import shipped_config
 
 Scene = Literal["stairs", "rough", "ramp", "flat"]
@@ -75,6 +76,7 @@ def demo(
     """
     console = Console(stderr=True)
     output.mkdir(parents=True, exist_ok=True)
+    refuse_unwritable((report,))
     (output / "drive.mcap").unlink(missing_ok=True)
     with ExitStack() as stack:
         stack.enter_context(terminated_like_interrupted())

@@ -16,6 +16,7 @@ from drivers.errors import ConfigurationError
 from service.commands.emulate_device import EXAMPLES
 from service.config import LoadedConfig, load
 from service.lifecycle import stop_on_signals
+from service.output_files import refuse_unwritable
 from service.robot_model import robot_model
 from service.shipped import shipped_config
 from simulator.emulated_robot import DEVICES, Progress, print_progress, run_emulated_robot
@@ -93,6 +94,7 @@ def robot(
     """
     if clock is None and speed != 1.0:
         raise ConfigurationError("--speed other than 1 needs --clock: hosts must share the emulated time")
+    refuse_unwritable((truth,), inputs=(config, terrain))
     progress = print_progress if json_progress else _Line()
     _emulate(_loaded(config), links, scene, terrain, duration, speed, seed, errors, clock, truth, progress)
     return 0

@@ -52,6 +52,8 @@ def test_no_command_overwrites_what_it_reads(
         ("check --bounds none.mcap --report none/report.json", "there is no folder"),
         ("watch --connect tcp/127.0.0.1:1 --map none/map.npz", "there is no folder"),
         ("watch --connect tcp/127.0.0.1:1 --report .", "is a folder"),
+        ("demo --report none/report.json", "there is no folder"),
+        ("emulate robot --truth none/truth.npz", "there is no folder"),
     ],
 )
 def test_an_output_that_cannot_be_written_is_told_before_the_work(

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from simulator.errors import ErrorLaw
 from simulator.robot import RobotModel, plan_drive
@@ -82,3 +83,13 @@ def test_the_robot_drives_on_a_real_elevation_model(model: str) -> None:
     drive = plan_drive(RobotModel(), terrain, ErrorLaw(), 60.0)
     assert np.degrees(np.abs(drive.pose[:, 3:5]).max()) < 25.0
     assert np.ptp(drive.pose[:, 2]) > 0.2
+
+
+@pytest.mark.parametrize(
+    "heights", [np.full((9, 9), np.nan), np.full((9, 9), 1e308), np.zeros((1, 9)), np.zeros((9, 9, 3))]
+)
+def test_a_model_without_ground_is_refused(heights: NDArray[np.float64], tmp_path: Path) -> None:
+    """Nothing but holes, a file's sign for "no data", a single row, a picture: said at once, not while driving."""
+    np.savez(tmp_path / "model.npz", elevation=heights)
+    with pytest.raises(ValueError, match=r"no height in it|at least \[2, 2\]"):
+        build_terrain("dem", 1, tmp_path / "model.npz")
