@@ -90,6 +90,8 @@ def _geo_tags(place: Place) -> list[tuple[int, str, int, object, bool]]:
 def _metadata(saved: SavedMap, place: Place | None, names: list[str], unit: str) -> str:
     """GDAL's XML: names and units of the bands, and what the numbers mean."""
     items = {"FRAME": saved.frame, "ELEVATIONS": "metres above the origin of the map frame"}
+    if saved.guarantee:
+        items["GUARANTEE"] = saved.guarantee
     if place is not None:
         east, north, up, yaw = place.half_widths
         items["ANCHOR"] = saved.anchor

@@ -3,6 +3,7 @@
 import fcntl
 import os
 import shutil
+import sqlite3
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from mapper.saved_map import MapFileError, SavedMap, assemble
-from mapper.store import StoreError, TileStore
+from mapper.store import StoreError, TileStore, explained
 from mapper.store_check import Findings, check
 from mapper.store_log import log_frames
 
@@ -37,6 +38,8 @@ def load_stored(path: Path, submap: int | None = None) -> tuple[SavedMap, Findin
     with _openable(path) as opened:
         try:
             return _load(opened, path, submap)
+        except sqlite3.Error as error:
+            raise explained(error, path) from error
         except StoreError as error:
             raise StoreError(str(error).replace(str(opened), str(path))) from error
 

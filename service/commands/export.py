@@ -6,11 +6,13 @@ from typing import Annotated
 
 from cyclopts import Parameter, validators
 
+from estimator.bounded_pose import INTACT
 from mapper.export import LayerName, export_map
 from mapper.place import place_of
-from mapper.saved_map import MapFileError, load
+from mapper.saved_map import MapFileError, SavedMap, load
 from mapper.stored_map import is_store, load_stored
 from mapper.traversability import RobotLimits
+from service.messages import GuaranteeMessage, MalformedMessage, guarantee_from, read
 
 Positive = Annotated[float, Parameter(validator=validators.Number(gt=0))]
 
@@ -62,8 +64,21 @@ def export(
         if submap is not None:
             raise MapFileError(f"{map}: is one map, --submap is for a store (store.path); leave it out")
         saved = load(map)
+    if (doubt := _doubt(saved)) is not None:
+        print(f"{map}: {doubt}", file=sys.stderr)
     export_map(saved, output, layer, RobotLimits(max_step_m, max_slope_deg, max_roughness_m, length_m))
     if output.suffix.lower() == ".tif" and place_of(saved) is None:
         print(f"{output}: no place on Earth (the anchor is unknown or unbounded); metres of the map", file=sys.stderr)
     print(output)
     return 0
+
+
+def _doubt(saved: SavedMap) -> str | None:
+    """A sentence for people where the map's bounds are not promised; None where they are, or where nothing is known."""
+    try:
+        told = guarantee_from(read(GuaranteeMessage, saved.guarantee.encode())) if saved.guarantee else INTACT
+    except MalformedMessage:
+        return "its guarantee can't be read: nothing is known of whether its bounds hold"
+    if told.intact:
+        return None
+    return f"its bounds are in doubt, contradicted by {told.sensor or 'a sensor'}: docs/faults.md tells what holds"

@@ -181,7 +181,11 @@ def test_a_full_disk_is_one_line(recordings: Path, tmp_path: Path) -> None:
 def test_ctrl_c_while_the_command_loads_is_one_line(tmp_path: Path) -> None:
     """The moment when the command line itself is still being loaded is no exception: 130, and no traceback."""
     library = tmp_path / "cyclopts.py"  # stands before the real one: Ctrl-C comes just as it is loaded
-    library.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGINT)\nwhile True: pass\n")
+    library.write_text(
+        "import os, signal\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell's background jobs ignore it
+        "os.kill(os.getpid(), signal.SIGINT)\nwhile True: pass\n"
+    )
     command = [sys.executable, "-c", "from service.cli import main; main()", "--help"]
     environment = os.environ | {"PYTHONPATH": str(tmp_path)}
     done = subprocess.run(

@@ -30,7 +30,9 @@ def test_a_demo_that_is_ended_takes_its_robot_and_its_folder_along(number: signa
     """While its emulated robot is still starting, the worst moment: 130, no traceback, and nothing is left."""
     temporary = tmp_path / "temporary"
     temporary.mkdir()
-    command = [sys.executable, "-m", "service.cli", "demo", "--output", "out"]
+    # A shell's background jobs ignore Ctrl-C; as a person's foreground job it is heard.
+    heard = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    command = [sys.executable, "-c", f"{heard}; from service.cli import main; main()", "demo", "--output", "out"]
     environment = os.environ | {"TMPDIR": str(temporary)}
     with subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True) as demo:
         deadline = time.monotonic() + WAIT_S

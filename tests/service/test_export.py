@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rasterio
 
 from mapper.saved_map import SavedMap, load, save
 from mapper.store import Submap
@@ -125,7 +126,7 @@ def test_a_store_in_use_is_left_alone(store: Path, capfd: pytest.CaptureFixture[
     owner.close()
 
 
-def test_a_run_in_doubt_is_exported_in_doubt(store: Path) -> None:
+def test_a_run_in_doubt_is_exported_in_doubt(store: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """What the store says of the bounds goes into the file; a run whose bounds held says that too."""
     void = '{"intact":false,"void_since_ns":7,"sensor":"gps"}'
     opened, _ = open_store(store)
@@ -134,8 +135,15 @@ def test_a_run_in_doubt_is_exported_in_doubt(store: Path) -> None:
     output = store.with_name("out.npz")
     assert run_command(["export", str(store), str(output), "--submap", "0"]) == 0
     assert load(output).guarantee == void
+    assert "in doubt, contradicted by gps" in capfd.readouterr().err
+    raster = store.with_name("out.tif")
+    assert run_command(["export", str(output), str(raster), "--layer", "step"]) == 0
+    assert "in doubt, contradicted by gps" in capfd.readouterr().err
+    with rasterio.open(raster) as file:
+        assert json.loads(file.tags()["GUARANTEE"])["void_since_ns"] == 7
     assert run_command(["export", str(store), str(output)]) == 0
     assert json.loads(load(output).guarantee)["intact"] is True
+    assert "in doubt" not in capfd.readouterr().err
 
 
 @pytest.fixture
