@@ -60,8 +60,6 @@ class AttitudeChain:
         self.tube = Tube(int(config.history_s * 1e9), coordinates=4)
         self.packets = GyroPackets(imu.clock_drift_ppm, journal)
         self.bias = np.array([[-self.gyro.most_bias, self.gyro.most_bias]] * 3)
-        self._newest: InertialSample | None = None
-        """The one whose gyro packet is the newest."""
         self.level = False
         """Is the newest attitude a verified box?"""
         self.zeroed = False
@@ -89,7 +87,7 @@ class AttitudeChain:
         if not newer:
             self._journal.counts["gyro_out_of_order"] += 1
             return
-        self._newest, tube.end = sample, i + 1
+        tube.end = i + 1
         packets.appended()
         if lost:
             self._journal.counts["gyro_gaps"] += 1
@@ -125,12 +123,10 @@ class AttitudeChain:
     # ---------------------------------------------------------------- correct
 
     def correct_tilt(self, sample: InertialSample) -> bool:
-        """Contract roll and pitch of the newest node by a reading of a little before; False if it must wait.
+        """Contract roll and pitch of the newest node by a reading of its time or a little before; False: it must wait.
 
         Between the reading and the node the angles move no further than the variation of the rates allows.
         """
-        if sample is self._newest and sample.device_time_us is not None:
-            return False  # as tilt_step would find: by one clock neither is surely not before the other
         i = self.tube.newest
         outcome = self._contract(self.tube.box[i], sample, 0.0, 0.0)
         if outcome == MUST_WAIT:
@@ -153,7 +149,8 @@ class AttitudeChain:
         return tilt_step(
             box, self.level, sample.tilt_rad, self._tilt_bound + tilt_wider, ahead, left,
             self._accel_bound + accel_wider, stamp.earliest_ns, stamp.latest_ns, sample.epoch, device_us, resolution_us,
-            packets.numbers, packets.begin, packets.end,
+            packets.numbers, packets.begin, packets.end, packets.drift, self.gyro.most_rate,
+            min(self.gyro.most_rate, self.gyro.most_tilt_rate),
         )  # fmt: skip
 
     def _report_tilt(self, sample: InertialSample) -> None:

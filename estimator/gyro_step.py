@@ -8,17 +8,22 @@ from numpy.typing import NDArray
 from drivers.compiled import compiled
 from drivers.samples import Vector3
 from estimator.gyro_packets import (
+    DEVICE_US,
     EARLIEST_NS,
     EFFORT,
+    FARTHEST_US,
     INTERVALS,
     LEARNING_PACKETS,
     NO_PACKET,
     REMEMBERED,
+    RESOLUTION_US,
     append,
     around,
     elapsed,
     goes_back,
+    on_one_clock,
 )
+from estimator.interval import up
 from estimator.motion import QUANTUM, UNKNOWN_TILT, UNKNOWN_YAW, GyroBounds, rotate, turn
 from estimator.observations import contract_tilt
 from estimator.tube import put_in_order
@@ -27,6 +32,8 @@ LOST_YAW = 10.0
 """Added to the heading's error where a turn could not be enclosed (rad)."""
 DONE, CONTRADICTS, TOO_LITTLE = 0, 1, 2
 """What contract_tilt says."""
+SAME_TIME_US = 10
+"""A reading so near to a gyro packet, by the board's clock, is taken at its time."""
 TOO_EARLY, MUST_WAIT = 3, 4
 """... and what else tilt_step does."""
 
@@ -137,8 +144,23 @@ def tilt_step(
     numbers: NDArray[np.int64],
     begin: int,
     end: int,
+    drift: float,
+    most_rate: float,
+    most_tilt_rate: float,
 ) -> int:
-    """Contract roll and pitch of the newest box by a reading made between two of the packets; see contract_tilt."""
+    """Contract roll and pitch of the newest box by a reading made between two of the packets; see contract_tilt.
+
+    A reading of the newest packet's own time needs no later one to be waited for: between the two there is at most the
+    clock's resolution, and the declared greatest rates.
+    """
+    if end - begin > 1:
+        since = np.empty(3, np.int64)
+        if own_time(numbers[(end - 1) % REMEMBERED], epoch, device_us, resolution_us, drift, most_rate, most_tilt_rate,
+                    since):  # fmt: skip
+            return contract_tilt(
+                box, known, tilt[0], tilt[1], tilt_error, ahead, left, accel_error,
+                numbers[(end - 1) % REMEMBERED, EFFORT:], since,
+            )  # fmt: skip
     k = around(numbers, begin, end, earliest_ns, latest_ns, epoch, device_us, resolution_us)
     if k < 0:
         return TOO_EARLY if k == NO_PACKET else MUST_WAIT
@@ -146,3 +168,27 @@ def tilt_step(
     return contract_tilt(
         box, known, tilt[0], tilt[1], tilt_error, ahead, left, accel_error, newest[EFFORT:], before[EFFORT:]
     )
+
+
+@compiled
+def own_time(
+    newest: NDArray[np.int64],
+    epoch: int,
+    device_us: int,
+    resolution_us: int,
+    drift: float,
+    most_rate: float,
+    most_tilt_rate: float,
+    since: NDArray[np.int64],
+) -> bool:
+    """Was the reading made when the newest packet was? Then since [3] is its effort less what lies between the two."""
+    if not on_one_clock(newest, epoch, device_us) or abs(device_us) >= FARTHEST_US:
+        return False
+    apart_us = abs(device_us - newest[DEVICE_US]) + newest[RESOLUTION_US] + resolution_us
+    if apart_us > SAME_TIME_US:
+        return False
+    apart_s = up(up(apart_us / (1.0 - drift)) * 1e-6)
+    for axis in range(3):
+        most = most_rate if axis == 2 else most_tilt_rate
+        since[axis] = newest[EFFORT + axis] - ceil(up(most * apart_s) / QUANTUM) - 1
+    return True

@@ -34,6 +34,7 @@ from estimator.motion import QUANTUM, TrackBounds, variation
 from estimator.position import Step
 from estimator.rate_integral import partial
 from estimator.tube import hull_between
+from estimator.turn_cusum import add_step, begin_sums
 
 STRETCH_NS = 400_000_000
 """Yaw is compared over at least so long: quanta and slip weigh less than in a single step."""
@@ -53,11 +54,15 @@ class TrackYaw:
         self._gauge, self._tracks, self._attitude, self._journal = gauge_m, tracks, attitude, journal
         self._start: Stamp | None = None
         self._left = self._right = self._way = 0.0
+        self._last: Stamp | None = None
+        self._sums = np.zeros((2, 3))
+        """Of every stretch, see turn_cusum.py."""
 
     def watch(self, stamp: Stamp, step: Step) -> None:
         """A step further, up to the count with this stamp; contracts the newest yaws where the stretch is complete."""
         if self._gauge is None:
             return
+        self._sum_up(stamp, step, self._gauge)
         if self._start is None or not step.counted:
             self._begin(stamp)
             return
@@ -69,6 +74,21 @@ class TrackYaw:
         lasted_ns = stamp.earliest_ns - self._start.latest_ns
         if lasted_ns >= STRETCH_NS and (self._compare(self._start, stamp, self._gauge) or lasted_ns > LONGEST_NS):
             self._begin(stamp)
+
+    def _sum_up(self, stamp: Stamp, step: Step, gauge: tuple[float, float]) -> None:
+        """Is there a stretch that ends here, over which tracks and gyroscope contradict each other?"""
+        last, self._last, tube = self._last, stamp, self._attitude.tube
+        if last is None or not step.counted:
+            begin_sums(self._sums)
+            return
+        beyond, row = add_step(
+            self._sums, step.left, step.right, step.time_high, tuple(self._tracks), gauge, tube.times, tube.net,
+            tube.effort, tube.begin, tube.end, last.earliest_ns, last.latest_ns, stamp.earliest_ns, stamp.latest_ns,
+        )  # fmt: skip
+        if beyond > 0.0:
+            _, by_tracks, by_gyro = self._sums[row].tolist()
+            begin_sums(self._sums)
+            self._journal.report(self._likelier(by_tracks, by_gyro), stamp.mid_ns, beyond / mid(gauge), "rad")
 
     def _begin(self, stamp: Stamp) -> None:
         self._start, self._left, self._right, self._way = stamp, 0.0, 0.0, 0.0
@@ -93,17 +113,17 @@ class TrackYaw:
         by_gyro = sub((0.0, 0.0), chain.yaw_between(a, a_after, b))
         if is_empty(meet(by_tracks, by_gyro)):
             gap = max(by_tracks[0] - by_gyro[1], by_gyro[0] - by_tracks[1])
-            self._journal.report(self._likelier(by_tracks, by_gyro), last.mid_ns, gap, "rad")
+            self._journal.report(self._likelier(mid(by_tracks), mid(by_gyro)), last.mid_ns, gap, "rad")
         elif by_tracks[1] - by_tracks[0] < by_gyro[1] - by_gyro[0]:
             chain.narrow_yaw(a, a_after, b, by_tracks, last.mid_ns)
         return by_gyro[1] - by_gyro[0] < WELL_KNOWN
 
-    def _likelier(self, by_tracks: Interval, by_gyro: Interval) -> str:
+    def _likelier(self, by_tracks: float, by_gyro: float) -> str:
         """Who is to be named. A gyroscope that says the same again and again is stuck; else wheels slip oftener.
 
         A track that slips runs further than the ground: tracks that tell of the smaller turn are right.
         """
-        smaller = abs(mid(by_tracks)) < abs(mid(by_gyro))
+        smaller = abs(by_tracks) < abs(by_gyro)
         return "gyro" if self.gyro_repeats_itself or smaller else "encoders"
 
     @property
