@@ -32,6 +32,8 @@ class CopiedMap:
         """Of each submap, as last told."""
         self.stale: dict[TileId, int] = {}
         """Tiles that differed from the digest when it came, with the CRC that it listed."""
+        self._differed: dict[TileId, Tile] = {}
+        """Those of the stale ones that the copy held, as they were when the digest came."""
         self.listing_wanted = True
         """The robot's root differs from ours, and we have no listing to tell where."""
         self.compared = False
@@ -80,7 +82,10 @@ class CopiedMap:
         self.join(tile)
 
     def take_answer(self, tile: Tile, note: TileNote) -> None:
-        """Join a whole tile; where ours still differs although the robot's is as listed, ours is wrong: replace it."""
+        """Join a whole tile; where ours still differs although the robot's is as listed, ours is wrong: replace it.
+
+        Unless ours has grown since it was listed: then it may be ahead of the answer, which travels behind newer tiles.
+        """
         if note.epoch != self._epoch:
             return
         place, crc = TileId(tile.submap, tile.ix, tile.iy), content_crc(tile)
@@ -91,6 +96,7 @@ class CopiedMap:
         if (
             crc == listed
             and old is not None
+            and old is self._differed.get(place)
             and (old.resolution_m != tile.resolution_m or content_crc(join(old, tile)) != crc)
         ):
             self._counts["replaced"] += 1
@@ -134,6 +140,7 @@ class CopiedMap:
         self._beams_until_ns.clear()
         self.anchors.clear()
         self.stale.clear()
+        self._differed.clear()
         self._root = None
         if not first:
             self.guarantee = None
@@ -176,6 +183,7 @@ class CopiedMap:
             self._crcs.pop(place, None)
             self._counts["unlisted"] += 1
         self.stale = {place: crc for place, crc in listed.items() if own.get(place) != crc}
+        self._differed = {place: self.tiles[place] for place in self.stale if place in self.tiles}
         self._counts["stale"] += len(self.stale)
 
     def _entries(self) -> list[DigestEntry]:

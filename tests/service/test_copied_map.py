@@ -5,9 +5,9 @@ from collections import Counter
 import numpy as np
 
 from estimator.bounded_pose import INTACT, Guarantee, Status
-from mapper.tile import Tile
+from mapper.tile import Tile, content_crc, join
 from service.copied_map import CopiedMap
-from service.messages import TileId, TileNote, guarantee_message
+from service.messages import DigestEntry, DigestPart, TileId, TileNote, digest_root, guarantee_message
 
 VOID = Guarantee(5, "gps", 0.1, "m", Status.DEGRADED, contradicted_ns=8)
 RESTORED = Guarantee(5, "gps", 0.1, "m", Status.NOMINAL, restored_ns=20, contradicted_ns=8)
@@ -43,3 +43,38 @@ def test_another_run_of_the_robot_is_believed_anew() -> None:
     copy.take_tile(a_tile(), note(VOID))
     copy.take_tile(a_tile(1), note(INTACT, epoch="two"))
     assert copy.guarantee == INTACT
+
+
+def part_of(height_m: float, row: int) -> Tile:
+    """A tile in which one row was seen."""
+    layer = np.full((64, 64), np.nan, np.float32)
+    layer[row] = height_m
+    return Tile(0, 0, 0, 0.05, layer, layer)
+
+
+def listing(*tiles: Tile) -> DigestPart:
+    entries = [DigestEntry(tile.submap, tile.ix, tile.iy, content_crc(tile)) for tile in tiles]
+    return DigestPart("one", 1, False, len(entries), digest_root(entries), 0, 1, entries)
+
+
+def test_an_answer_that_newer_tiles_overtook_takes_nothing_back() -> None:
+    """Answers travel behind tiles: one that is as the digest listed it is older than what came since."""
+    copy, lost, newer = CopiedMap(Counter(), 8), part_of(1.0, 1), part_of(2.0, 2)
+    copy.introduced = True
+    copy.take_tile(part_of(0.0, 0), note(INTACT))
+    listed = join(part_of(0.0, 0), lost)
+    copy.take_digest(listing(listed))
+    copy.take_tile(newer, note(INTACT))
+    copy.take_answer(listed, note(INTACT))
+    assert content_crc(copy.tiles[TileId(0, 0, 0)]) == content_crc(join(listed, newer))
+
+
+def test_what_the_robot_does_not_have_is_replaced_once_the_link_is_quiet() -> None:
+    """A copy that holds too much claims more than the robot's map: after a digest and an answer it is the robot's."""
+    copy, true = CopiedMap(Counter(), 8), part_of(0.0, 0)
+    copy.introduced = True
+    copy.take_tile(join(true, part_of(5.0, 9)), note(INTACT))
+    copy.take_digest(listing(true))
+    copy.take_answer(true, note(INTACT))
+    assert content_crc(copy.tiles[TileId(0, 0, 0)]) == content_crc(true)
+    assert copy.in_sync
