@@ -20,7 +20,6 @@ from mapper.elevation_map import ElevationMap
 from mapper.laser_geometry import G_RANGE_MAX, G_RANGE_MIN, Floats, laser_geometry
 from mapper.pose_terms import (
     D_BOTH,
-    D_CENTRE,
     D_MOUNT_PITCH,
     D_MOUNT_ROLL,
     D_MOUNT_YAW,
@@ -28,7 +27,10 @@ from mapper.pose_terms import (
     D_ROLL,
     D_SCAN,
     D_SIZE,
+    P_ASIDE,
+    P_BACK,
     P_BULGE,
+    P_CENTRE,
     P_CONSTANT,
     P_DIRECTIONS,
     P_FORWARD,
@@ -85,10 +87,11 @@ class NumpyMap:
         self.origin = half_side
         self.inverse = 1.0 / resolution_m
         self.geometry, self.work, self.pose = laser_geometry(laser), np.empty((W_ROWS, 4)), np.empty(P_SIZE)
+        self.narrow = np.empty(P_SIZE, np.float32)
 
     def insert(self, scan: Scan, low: Floats, high: Floats) -> None:
         """Take a scan with one pose for all beams."""
-        prepare_pose(low[0], high[0], self.geometry, self.work, self.pose)
+        prepare_pose(low[0], high[0], self.geometry, self.work, self.pose, self.narrow)
         r = scan.ranges_m
         used = (r >= self.geometry[G_RANGE_MIN]) & (r <= self.geometry[G_RANGE_MAX])
         angle = scan.angle_min_rad + np.arange(r.size) * scan.angle_increment_rad
@@ -103,7 +106,10 @@ class NumpyMap:
         u = part(P_U_COS, 1).T * rows[0] + part(P_U_SIN, 1).T * rows[1]
         forward, left = part(P_FORWARD, 2)[:, :2] @ flat + part(P_FORWARD, 2)[:, 2, None]
         up, u = r * u[2] + self.pose[P_LEVER_UP], np.abs(u)
-        centre, roll = (along[:, at : at + 2] @ flat + along[:, at + 2, None] for at in (D_CENTRE, D_ROLL))
+        x, y, z = part(P_CENTRE, 3)[:, :2] @ flat + part(P_CENTRE, 3)[:, 2, None]
+        back, aside = self.pose[P_BACK] + 1.0, self.pose[P_ASIDE]
+        centre = np.stack((back * x - aside * y, back * x + aside * y, back * y - aside * x, back * y + aside * x, z))
+        roll = along[:, D_ROLL : D_ROLL + 2] @ flat + along[:, D_ROLL + 2, None]
         pitch = along[:, D_PITCH, None] * np.stack((up, up, up, up, forward))
         both = along[:, D_BOTH, None] * left
         half = np.abs(flat_longest[1]) * along[:, D_MOUNT_ROLL, None]
@@ -134,7 +140,7 @@ class NumpyMap:
         """[n, 3] how far along x, y, z, from [5, n] along x and y at both ends of yaw, and z."""
         left, right = ends[[0, 2]], ends[[1, 3]]
         most = np.maximum(left, right)
-        most = np.maximum(most, self.pose[P_BULGE] * most + 0.25 * np.minimum(left, right))
+        most += np.maximum(0.0, self.pose[P_BULGE] * most - 0.25 * np.abs(left - right))
         return np.stack((most[0], most[1], ends[4]), axis=-1)
 
 

@@ -11,9 +11,14 @@ from numpy.typing import NDArray
 
 from drivers.compiled import compiled, compiled_into_callers
 from drivers.samples import Scan
+from mapper.bound_arrays import bind
 from mapper.laser_geometry import Floats, beam_table
 
 _INT32 = np.dtype(np.int32)
+STEP = 8
+"""So many beams are taken at once: a vector of float32."""
+# Where each array is among the bound ones.
+BY_ORDER, BY_POSE, BY_BEAM, BY_DIRECTION = range(4)
 
 
 class BeamOrder:
@@ -27,8 +32,11 @@ class BeamOrder:
         """[n] numbers of the beams, in order."""
         self.pose_index: NDArray[np.int32] = np.empty(0, np.int32)
         """[n] which pose each was shot from, in order."""
-        self.beams: Floats = np.empty((3, 0))
-        """[3, n] cosines and sines of the beams, in order, and room for their ranges: for `put_in_order`."""
+        self.beams, self.directions = _tables(0.0, 0.0, 0)
+        """[3, n + STEP] cosines and sines of the beams, in order, and room for their ranges: for `put_in_order`. And
+        [2, n + STEP] the former as float32. What stands behind n is anything: whole vectors can be read."""
+        self.bound = bind(self.order, self.pose_index, self.beams, self.directions)
+        """All four for compiled code, as BY_ORDER and so on say."""
 
     def arrange(self, scan: Scan, pose_index: NDArray[np.int32]) -> None:
         """Bring `order`, `pose_index` and `beams` into the order of the scan's pose numbers."""
@@ -48,22 +56,35 @@ class BeamOrder:
         sorted_already = rising(plainly)
         same_angles = (beams, first, step) == (self._size, self._first_rad, self._step_rad)
         if not (same_angles and sorted_already and self._in_order):
-            self.order, self.beams = np.arange(beams, dtype=np.uint32), np.empty((3, beams))
-            beam_table(first, step, self.beams[0], self.beams[1])
+            self.arrange_unsorted(first, step, beams)
         if not sorted_already:
             order = np.argsort(plainly, kind="stable")
-            self.order, plainly, self.beams[:2] = order.astype(np.uint32), plainly[order], self.beams[:2, order]
+            self.order, plainly = order.astype(np.uint32), plainly[order]
+            for table in self.beams, self.directions:
+                table[:2, :beams] = table[:2, order]
         self.pose_index, self._in_order = plainly, sorted_already
         self._size, self._first_rad, self._step_rad = beams, first, step
+        self.bound = bind(self.order, self.pose_index, self.beams, self.directions)
         # What nobody can write to still holds what it held.
         self._known = None if pose_index.flags.writeable else pose_index
 
+    def arrange_unsorted(self, first_rad: float, step_rad: float, beams: int) -> None:
+        """Bring `order`, `beams` and `directions` into the order of the scan."""
+        self.order = np.arange(beams, dtype=np.uint32)
+        self.beams, self.directions = _tables(first_rad, step_rad, beams)
+
+
+def _tables(first_rad: float, step_rad: float, beams: int) -> tuple[Floats, NDArray[np.float32]]:
+    table = np.zeros((3, beams + STEP))
+    beam_table(first_rad, step_rad, table[0], table[1])
+    return table, table[:2].astype(np.float32)
+
 
 @compiled_into_callers
-def put_in_order(ranges: Floats, order: NDArray[np.uint32], ordered: Floats) -> None:
+def put_in_order(ranges: Floats, order: NDArray[np.int32], ordered: Floats) -> None:
     """A scan's distances [n] in order."""
     for n in range(order.size):
-        ordered[n] = ranges[order[n]]
+        ordered[n] = ranges[np.uint32(order[n])]
 
 
 @compiled

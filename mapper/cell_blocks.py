@@ -1,9 +1,9 @@
-"""The inner primitive of the map: hull of blocks of eight cells with one interval, as vector instructions.
+"""The inner primitives of the map: hull of blocks of eight or twelve cells with one interval, as vector instructions.
 
 A cell is two float32, (-low, high), so that its hull with an interval is one maximum of both; a block is 16 of them,
-64 bytes. It begins at any multiple of four cells, so that most footprints take one block a row. LLVM makes of the
-16-lane vectors what the processor has: one AVX-512 register, two of AVX2, four of NEON. Left to itself it finds no
-vectors here, or stores under a mask, which some processors do in microcode.
+64 bytes, or 24. It begins at any multiple of four cells, so that most footprints take one block a row. LLVM makes of
+the vectors what the processor has: one AVX-512 register, two of AVX2, four of NEON. Left to itself it finds no vectors
+here, or stores under a mask, which some processors do in microcode.
 """
 
 from collections.abc import Callable
@@ -18,92 +18,135 @@ from numba.extending import intrinsic
 from mapper.grid import TILE_SIDE
 
 BLOCK_CELLS = 8
+WIDE_CELLS = 12
 ALIGNED_CELLS = 4
 CELL_BYTES = 8
 _ALIGNMENT = ALIGNED_CELLS * CELL_BYTES
 ROW_BYTES = TILE_SIDE * CELL_BYTES
 BLOCK_BYTES = BLOCK_CELLS * CELL_BYTES
+WINDOW_BYTES = 64
+"""A window of a block, in the table of those there are ..."""
+WIDE_WINDOW_BYTES = 128
+"""... and of a wide one: whole lines of the cache."""
 
-_LANES = 2 * BLOCK_CELLS
 _WORD, _ADDRESS = ir.IntType(32), ir.IntType(64)
 cgutils: Any = untyped_cgutils
 _INFINITY = float("inf")
-_WINDOWS = [
-    0.0 if first <= lane // 2 <= last else -_INFINITY
-    for first in range(ALIGNED_CELLS)
-    for last in range(BLOCK_CELLS)
-    for lane in range(_LANES)
-]
-_TABLE = ir.ArrayType(ir.FloatType(), len(_WINDOWS))
-_FLOATS, _WORDS = ir.VectorType(ir.FloatType(), _LANES), ir.VectorType(_WORD, _LANES)
-_PAIR, _PAIRS = ir.IntType(64), ir.VectorType(ir.IntType(64), BLOCK_CELLS)
+_PAIR = ir.IntType(64)
 
 
-def _hull_blocks(
-    typing_context: Any, address: Any, rows: Any, interval: Any, window: Any
-) -> tuple[Any, Callable[..., Any]]:
-    return types.boolean(types.uint64, types.int64, types.uint64, types.uint64), _generate
+def _vector(lanes: int) -> Any:
+    return ir.VectorType(ir.FloatType(), lanes)
 
 
-def _generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-    address, rows, pair, window = args
-    interval = _spread(builder, builder.load(builder.inttoptr(pair, _PAIR.as_pointer()), align=CELL_BYTES))
-    # Added to a number -inf is -inf, and 0 leaves it. Read from memory, so that LLVM can't know what it does: knowing,
-    # it would store under a mask.
-    table = cgutils.global_constant(builder, "hull_blocks.windows", ir.Constant(_TABLE, _WINDOWS))
-    table.align = 64
-    place = builder.gep(builder.bitcast(table, ir.IntType(8).as_pointer()), [window])
-    interval = builder.fadd(interval, builder.load(builder.bitcast(place, _FLOATS.as_pointer()), align=64))
-
-    maximum = cgutils.get_or_insert_function(
-        builder.module, ir.FunctionType(_FLOATS, [_FLOATS, _FLOATS]), f"llvm.maxnum.v{_LANES}f32"
-    )
-
-    # Reading what stands there and writing the maximum back, whether it changed or not: a branch between the two, which
-    # no processor foresees on ground that is still being mapped, costs more than the writing.
-    def widen(cells: Any, wider: Any) -> Any:
-        old = builder.load(cells, align=_ALIGNMENT)
-        # That no operand is NaN is all that this flag says; without it the maximum takes three more instructions.
-        builder.store(builder.call(maximum, [interval, old], fastmath=("nnan",)), cells, align=_ALIGNMENT)
-        return builder.or_(wider, builder.sext(builder.fcmp_ordered(">", interval, old), _WORDS))
-
-    wider = _each_row(builder, address, rows, widen)
-    # All of it as one number: a single test where the processor has one.
-    number = ir.IntType(32 * _LANES)
-    return builder.icmp_unsigned("!=", builder.bitcast(wider, number), number(0))
+def _windows(cells: int, window_bytes: int) -> Any:
+    """For each first and last cell of a block: 0 for those between, -inf for the others. Floats, two a cell."""
+    return [
+        0.0 if first <= number // 2 <= last else -_INFINITY
+        for first in range(ALIGNED_CELLS)
+        for last in range(cells)
+        for number in range(window_bytes // 4)
+    ]
 
 
-def _each_row(builder: Any, address: Any, rows: Any, do: Callable[[Any, Any], Any]) -> Any:
-    """Do something with the block at `address` and those below it, `rows` in all; what one gives the next one takes."""
-    before, loop = builder.basic_block, builder.append_basic_block("row")
-    builder.branch(loop)
-    builder.position_at_end(loop)
-    at, left, taken = builder.phi(_ADDRESS), builder.phi(_ADDRESS), builder.phi(_WORDS)
-    given = do(builder.inttoptr(at, _FLOATS.as_pointer()), taken)
-    next_at, next_left = builder.add(at, _ADDRESS(ROW_BYTES)), builder.sub(left, _ADDRESS(1))
-    nothing = ir.Constant(_WORDS, [0] * _LANES)
-    for phi, start, following in ((at, address, next_at), (left, rows, next_left), (taken, nothing, given)):
-        phi.add_incoming(start, before)
-        phi.add_incoming(following, loop)
-    end = builder.append_basic_block("rows.end")
-    builder.cbranch(builder.icmp_signed(">", next_left, _ADDRESS(0)), loop, end)
-    builder.position_at_end(end)
-    return given
+def _hull_of(cells: int, window_bytes: int, looking: bool) -> Callable[..., Any]:
+    """The primitive for blocks of so many cells, as vectors of eight and of four; looking: for cells that change."""
+    parts = [(cell * CELL_BYTES, 2 * min(BLOCK_CELLS, cells - cell)) for cell in range(0, cells, BLOCK_CELLS)]
+    windows = _windows(cells, window_bytes)
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        address, rows, pair, window = args
+        # Added to a number -inf is -inf, and 0 leaves it. Read from memory, so that LLVM can't know what it does:
+        # knowing, it would store under a mask.
+        kind = ir.ArrayType(ir.FloatType(), len(windows))
+        table = cgutils.global_constant(builder, f"hull.windows.{cells}", ir.Constant(kind, windows))
+        table.align = WINDOW_BYTES
+        pair = builder.load(builder.inttoptr(pair, _PAIR.as_pointer()), align=CELL_BYTES)
+        intervals = []
+        for offset, lanes in parts:
+            place = builder.gep(
+                builder.bitcast(table, ir.IntType(8).as_pointer()), [builder.add(window, _ADDRESS(offset))]
+            )
+            mask = builder.load(builder.bitcast(place, _vector(lanes).as_pointer()), align=WINDOW_BYTES)
+            intervals.append(builder.fadd(_spread(builder, pair, lanes), mask))
+
+        # Reading what stands there and writing the maximum back, whether it changed or not: a branch between the two,
+        # which no processor foresees on ground that is still being mapped, costs more than the writing.
+        def widen(row: Any, wider: list[Any]) -> list[Any]:
+            given = []
+            for (offset, lanes), interval, before in zip(parts, intervals, wider, strict=True):
+                cells = builder.inttoptr(builder.add(row, _ADDRESS(offset)), _vector(lanes).as_pointer())
+                old = builder.load(cells, align=_ALIGNMENT)
+                builder.store(_larger(builder, interval, old, lanes), cells, align=_ALIGNMENT)
+                if looking:
+                    grows = builder.sext(builder.fcmp_ordered(">", interval, old), before.type)
+                    given.append(builder.or_(before, grows))
+                else:
+                    given.append(before)
+            return given
+
+        changed = _each_row(builder, address, rows, widen)
+        if not looking:
+            return cgutils.true_bit
+        # All of it as one number: a single test where the processor has one.
+        tests = []
+        for wider in changed:
+            number = ir.IntType(32 * wider.type.count)
+            tests.append(builder.icmp_unsigned("!=", builder.bitcast(wider, number), number(0)))
+        return builder.or_(tests[0], tests[-1])
+
+    def _each_row(builder: Any, address: Any, rows: Any, do: Callable[[Any, list[Any]], list[Any]]) -> list[Any]:
+        """Do something with the block at `address` and those below it; what one gives the next one takes."""
+        before, loop = builder.basic_block, builder.append_basic_block("row")
+        builder.branch(loop)
+        builder.position_at_end(loop)
+        nothing = [ir.Constant(ir.VectorType(_WORD, lanes), [0] * lanes) for _, lanes in parts]
+        at, left, taken = builder.phi(_ADDRESS), builder.phi(_ADDRESS), [builder.phi(zero.type) for zero in nothing]
+        given = do(at, taken)
+        next_at, next_left = builder.add(at, _ADDRESS(ROW_BYTES)), builder.sub(left, _ADDRESS(1))
+        starts, following = (address, rows, *nothing), (next_at, next_left, *given)
+        for phi, start, next_one in zip((at, left, *taken), starts, following, strict=True):
+            phi.add_incoming(start, before)
+            phi.add_incoming(next_one, loop)
+        end = builder.append_basic_block("rows.end")
+        builder.cbranch(builder.icmp_signed(">", next_left, _ADDRESS(0)), loop, end)
+        builder.position_at_end(end)
+        return given
+
+    def typed(
+        typing_context: Any, address: Any, rows: Any, interval: Any, window: Any
+    ) -> tuple[Any, Callable[..., Any]]:
+        return types.boolean(types.uint64, types.int64, types.uint64, types.uint64), generate
+
+    return typed
 
 
-def _spread(builder: Any, pair: Any) -> Any:
+def _larger(builder: Any, a: Any, b: Any, lanes: int) -> Any:
+    """That no operand is NaN is all that this flag says; without it the maximum takes three more instructions."""
+    kind = ir.FunctionType(_vector(lanes), [_vector(lanes)] * 2)
+    maximum = cgutils.get_or_insert_function(builder.module, kind, f"llvm.maxnum.v{lanes}f32")
+    return builder.call(maximum, [a, b], fastmath=("nnan",))
+
+
+def _spread(builder: Any, pair: Any, lanes: int) -> Any:
     """A vector that repeats two numbers."""
-    undefined = ir.Constant(_PAIRS, ir.Undefined)
+    undefined = ir.Constant(ir.VectorType(_PAIR, lanes // 2), ir.Undefined)
     first = builder.insert_element(undefined, pair, _WORD(0))
-    order = ir.Constant(ir.VectorType(_WORD, BLOCK_CELLS), [0] * BLOCK_CELLS)
-    return builder.bitcast(builder.shuffle_vector(first, undefined, order), _FLOATS)
+    order = ir.Constant(ir.VectorType(_WORD, lanes // 2), [0] * (lanes // 2))
+    return builder.bitcast(builder.shuffle_vector(first, undefined, order), _vector(lanes))
 
 
-hull_blocks = cast(Callable[[np.uint64, int, np.uint64, np.uint64], bool], intrinsic(_hull_blocks))
+Hull = Callable[[np.uint64, int, np.uint64, np.uint64], bool]
+hull_blocks = cast(Hull, intrinsic(_hull_of(BLOCK_CELLS, WINDOW_BYTES, True)))
 """hull_blocks(address, rows, interval, window) -> did any cell change?
 
 Hull of cells of the block at `address`, and of those below it in the tile's next rows - 1 >= 0 rows, with the interval
-whose two numbers stand at the address `interval`. Which cells: `window` is BLOCK_BYTES * (first * BLOCK_CELLS + last),
+whose two numbers stand at the address `interval`. Which cells: `window` is WINDOW_BYTES * (first * BLOCK_CELLS + last),
 first 0..3, last 0..7. Neither the interval nor any cell is NaN. The block's other cells may be written as they were
 read.
 """
+hull_blocks_unseen = cast(Hull, intrinsic(_hull_of(BLOCK_CELLS, WINDOW_BYTES, False)))
+"""The same without looking; True. Half the work."""
+hull_wide_blocks = cast(Hull, intrinsic(_hull_of(WIDE_CELLS, WIDE_WINDOW_BYTES, True)))
+"""The same of twelve cells; `window` is WIDE_WINDOW_BYTES * (first * WIDE_CELLS + last), last 0..11."""
+hull_wide_blocks_unseen = cast(Hull, intrinsic(_hull_of(WIDE_CELLS, WIDE_WINDOW_BYTES, False)))

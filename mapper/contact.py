@@ -7,15 +7,19 @@ docs/contact.md says what that guarantees.
 """
 
 from math import ceil
+from typing import Any
 
 import numpy as np
 
 from drivers.compiled import compiled_without_heap
 from mapper.config import ContactConfig
 from mapper.kernel import WORK_SIZE, Bits, Cells, Counts, Flags, Indices, Keys, locate_block, touch_block
-from mapper.laser_geometry import G_LEVER, G_LEVER_BOUND, G_MATRIX, G_SIZE, GROW, Floats
-from mapper.pose_terms import P_USABLE, W_ROWS, prepare_pose
+from mapper.laser_geometry import G_LEVER, G_LEVER_BOUND, G_MATRIX, G_SIZE, GROW, Floats, measure_lever
+from mapper.pose_terms import P_HIGH, P_LOW, P_USABLE, W_ROWS, Singles, prepare_pose
 from mapper.projection import B_X0, B_X1, B_Y0, B_Y1, B_Z0, B_Z1, LANES, box
+
+_ZERO: Any = np.float32(0.0)
+_ONE: Any = np.float32(1.0)
 
 
 def track_patches(contact: ContactConfig, length_m: float, gauge_m: float, resolution_m: float) -> Floats:
@@ -29,6 +33,7 @@ def track_patches(contact: ContactConfig, length_m: float, gauge_m: float, resol
     patches[..., G_LEVER] = x[:, None]
     patches[..., G_LEVER + 1] = np.array([-gauge_m / 2, gauge_m / 2])[:, None, None] + y
     patches[..., G_LEVER_BOUND : G_LEVER_BOUND + 3] = np.array(half) * GROW + 1e-12  # the middles' rounding
+    measure_lever(patches)
     return patches.reshape(-1, G_SIZE)
 
 
@@ -43,6 +48,7 @@ def insert_patches(
     plane: int,
     scratch: Floats,
     pose: Floats,
+    narrow: Singles,
     spans: Indices,
     heights: Cells,
     numbers: Counts,
@@ -54,19 +60,20 @@ def insert_patches(
 ) -> int:
     """Take patches from `first` on, of tracks somewhere in the pose box [6]; the first not done, or n when all are.
 
-    pose [P_SIZE], scratch, spans, heights: scratch; the rest as in kernel.insert_beams. What becomes of a patch is not
-    counted among the beams.
+    pose, narrow [P_SIZE], scratch, spans, heights: scratch; the rest as in kernel.insert_beams. What becomes of a patch
+    is not counted among the beams.
     """
     work, block = scratch[:WORK_SIZE].reshape(W_ROWS, 4), scratch[WORK_SIZE:]
     for begin in range(first, patches.shape[0], LANES):
         count = min(patches.shape[0] - begin, LANES)
         for lane in range(count):
-            prepare_pose(pose_low, pose_high, patches[begin + lane], work, pose)
+            prepare_pose(pose_low, pose_high, patches[begin + lane], work, pose, narrow)
             if pose[P_USABLE] != 1.0:
                 return len(patches)
-            x0, x1, y0, y1, z0, z1 = box(pose, 0.0, 1.0, 0.0)
-            block[B_X0 + lane], block[B_Y0 + lane], block[B_Z0 + lane] = x0, y0, z0
-            block[B_X1 + lane], block[B_Y1 + lane], block[B_Z1 + lane] = x1, y1, z1
+            x0, x1, y0, y1, z0, z1 = box(narrow, _ZERO, _ONE, _ZERO)
+            block[B_X0 + lane], block[B_X1 + lane] = pose[P_LOW] + x0, pose[P_HIGH] + x1
+            block[B_Y0 + lane], block[B_Y1 + lane] = pose[P_LOW + 1] + y0, pose[P_HIGH + 1] + y1
+            block[B_Z0 + lane], block[B_Z1 + lane] = pose[P_LOW + 2] + z0, pose[P_HIGH + 2] + z1
         locate_block(count, 1.0 / resolution_m, max_footprint_m, block, spans, heights)
         done = touch_block(count, plane, False, spans, heights, numbers, table, keys, dirty, pool, sure)
         if done < count:

@@ -19,12 +19,13 @@ from drivers.samples import Scan
 from estimator.config import RobotConfig
 from mapper import kernel, tile_layers
 from mapper.beam_order import BeamOrder, plain, rising
+from mapper.bound_arrays import bind
 from mapper.config import MapConfig
 from mapper.contact import insert_patches, track_patches
 from mapper.grid import TILE_SIDE, tile_indices, tile_key
 from mapper.laser_geometry import G_SIZE, Floats, laser_geometry
 from mapper.pose_terms import P_SIZE
-from mapper.projection import B_SIZE, LANES
+from mapper.projection import B_SIZE, BOXES_SIZE, LANES
 from mapper.tile import NO_CELL, NOWHERE, Tile, sealed_tile, unseen_tile
 
 _MAP_NORESERVE = 0x4000
@@ -66,8 +67,10 @@ class ElevationMap:
         self.config = config
         self.submap = submap
         self._geometry = laser_geometry(laser)
+        self._limits = np.array([config.resolution_m, config.max_footprint_m])
         self._order = BeamOrder()
         self._scratch = np.zeros(kernel.WORK_SIZE + B_SIZE)
+        self._boxes = np.zeros(BOXES_SIZE, np.float32)
         self._spans = np.zeros(kernel.S_SIZE, np.int32)
         self._heights = np.zeros(2 * LANES, np.float32)
         self._tiles_left_out = 0
@@ -99,13 +102,17 @@ class ElevationMap:
         low, high: [m, 6] in the map frame, axes as estimator.bounded_pose.AXES. pose_index: [n], n = beams; a number
         outside 0..m-1 means that the beam has no pose.
         """
-        ranges, earliest_ns = scan.ranges_m, scan.stamp.earliest_ns
-        self._order.arrange(scan, pose_index)
+        ranges, order = scan.ranges_m, self._order
+        order.arrange(scan, pose_index)
+        plane = self._plane(scan.stamp.earliest_ns) if self._slot_ns else 0
         try:
-            self._insert(earliest_ns, ranges, low, high)
+            done = kernel.insert_beams(0, plane, ranges, low, high, order.bound, self._bound)
         except TypeError:
             # Not as the kernel was compiled for: another layout, another type, or read-only.
-            self._insert(earliest_ns, *(plain(array, _FLOAT64) for array in (ranges, low, high)))
+            ranges, low, high = (plain(array, _FLOAT64) for array in (ranges, low, high))
+            done = kernel.insert_beams(0, plane, ranges, low, high, order.bound, self._bound)
+        if done != ranges.size:
+            self._go_on(done, plane, ranges, low, high)
         used, no_range, no_pose, too_wide, too_far, beyond_cap, tiles, ready = self._outcome.tolist()
         if ready - tiles < _TILES_SPARE:
             self._make_ready()
@@ -122,7 +129,7 @@ class ElevationMap:
             done = insert_patches(
                 done, self._patches, low, high,
                 self.config.resolution_m, self.config.max_footprint_m, self._plane(time_ns),
-                self._scratch, self._poses[0], self._spans, self._heights,
+                self._scratch, self._poses[0], self._narrow[0], self._spans, self._heights,
                 self._numbers, self._table, self._keys, self._dirty, self._pool, self._sure,
             )
             # fmt: on
@@ -209,7 +216,8 @@ class ElevationMap:
     def _compile(self) -> None:
         """Do everything once with nothing, so that the machine code is there: no scan and no tile waits for it."""
         rising(self._order.pose_index)
-        self._insert(0, np.empty(0), np.zeros((1, 6)), np.zeros((1, 6)))
+        none = np.zeros((1, 6))
+        kernel.insert_beams(0, 0, np.empty(0), none, none, self._order.bound, self._bound)
         only_as_compiled(kernel.insert_beams)
         self.insert_contact(0, np.full(6, np.nan), np.full(6, np.nan))
         self._layers(0)
@@ -225,27 +233,23 @@ class ElevationMap:
         slots = self.config.evidence_slots
         return 1 + time_ns // self._slot_ns % slots if slots else 0
 
-    def _insert(self, time_ns: int, ranges: Floats, low: Floats, high: Floats) -> None:
-        """A scan that `self._order` is arranged for."""
-        order, plane, done = self._order, self._plane(time_ns) if self._slot_ns else 0, 0
-        if len(low) > len(self._poses):
-            self._make_room(len(low))
-        while True:
-            done = kernel.insert_beams(
-                done, plane, ranges, low, high, order.order, order.pose_index, order.beams, *self._memory
-            )
-            if done == ranges.size:
-                return
+    def _go_on(self, done: int, plane: int, ranges: Floats, low: Floats, high: Floats) -> None:
+        """From the beam on that wanted more room."""
+        while done != ranges.size:
             if done == kernel.BAD_POSES:
                 raise ValueError(f"need low, high [m, 6]; got {list(low.shape)}, {list(high.shape)}")
-            self._make_ready()
+            if done == kernel.MANY_POSES:
+                self._make_room(len(low))
+            else:
+                self._make_ready()
+            done = kernel.insert_beams(max(done, 0), plane, ranges, low, high, self._order.bound, self._bound)
 
     def _make_room(self, poses: int) -> None:
         """For scans with so many poses."""
-        self._poses = np.empty((poses, P_SIZE))
-        self._memory = (
-            *(self._geometry, self.config.resolution_m, self.config.max_footprint_m),
-            *(self._poses, self._scratch, self._spans, self._heights),
+        self._poses, self._narrow = np.empty((poses, P_SIZE)), np.empty((poses, P_SIZE), np.float32)
+        self._bound = bind(
+            *(self._limits, self._geometry, self._scratch, self._poses, self._narrow),
+            *(self._boxes, self._spans, self._heights),
             *(self._numbers, self._table, self._keys, self._dirty, self._pool, self._sure),
         )
 

@@ -6,15 +6,31 @@ when no tile is ready for use the call returns early; the caller makes more read
 hull taken twice changes nothing).
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.compiled import compiled, compiled_into_callers, compiled_without_heap
-from mapper.beam_order import put_in_order
-from mapper.cell_blocks import ALIGNED_CELLS, BLOCK_BYTES, BLOCK_CELLS, CELL_BYTES, ROW_BYTES, hull_blocks
+from mapper.beam_order import BY_BEAM, BY_DIRECTION, BY_ORDER, BY_POSE, STEP, put_in_order
+from mapper.bound_arrays import Bound, counts, flags, floats, integers, singles, words
+from mapper.cell_blocks import (
+    ALIGNED_CELLS,
+    BLOCK_CELLS,
+    CELL_BYTES,
+    ROW_BYTES,
+    WIDE_CELLS,
+    WIDE_WINDOW_BYTES,
+    WINDOW_BYTES,
+    hull_blocks,
+    hull_blocks_unseen,
+    hull_wide_blocks,
+    hull_wide_blocks_unseen,
+)
+from mapper.fused import fused
 from mapper.grid import CELL_LIMIT, TILE_CELLS, TILE_SHIFT, TILE_SIDE, tile_key
 from mapper.laser_geometry import Floats, usable_range
-from mapper.pose_terms import P_USABLE, W_ROWS, prepare_pose
+from mapper.pose_terms import P_HIGH, P_LOW, P_SIZE, P_USABLE, W_ROWS, Singles, prepare_pose
 from mapper.projection import B_X0, B_X1, B_Y0, B_Y1, B_Z0, B_Z1, LANES, box_block, run_length
 
 WORK_SIZE = 4 * W_ROWS
@@ -31,7 +47,9 @@ Bits = NDArray[np.uint64]
 TILE_FLOATS = 2 * TILE_CELLS
 TILE_BYTES = TILE_CELLS * CELL_BYTES
 BAD_POSES = -1
-"""In place of a beam's number: the pose boxes have the wrong shape."""
+"""In place of a beam's number: the pose boxes have the wrong shape ..."""
+MANY_POSES = -2
+"""... or there is no room for as many."""
 FREE = 0
 """In the hash table: no tile here; a tile stands as its number + 1."""
 UNSEEN = np.float32(-np.inf)
@@ -60,8 +78,14 @@ S_FATE, S_I0, S_I1, S_J0, S_J1 = (row * LANES for row in range(5))
 # ... then, for what lies in one tile, which (else NOWHERE), the first block's place in it in bytes, how many rows, and
 # from there the first and last column; of a footprint in one block, too, which window of it (cell_blocks.py).
 S_IX, S_IY, S_PLACE, S_ROWS, S_FIRST, S_LAST, S_WINDOW = (row * LANES for row in range(5, 12))
-S_SIZE = 12 * LANES
+S_ONE_CELL = 12 * LANES
+"""1 for a footprint that is used and reaches but one cell."""
+# Behind them ix, iy and number of four tiles.
+S_NEIGHBOURS = 13 * LANES
+S_SIZE = S_NEIGHBOURS + 12
 NOWHERE = np.int32(-(1 << 31))
+NO_TILE = np.int32(1 - (1 << 31))
+"""In place of a tile's ix, iy; no footprint's, unlike NOWHERE."""
 _INDEX_LIMIT = float(CELL_LIMIT)
 _IN_TILE = TILE_SIDE - 1
 """The bits of a cell's number that say where in its tile it is."""
@@ -70,6 +94,16 @@ _IN_TILE = TILE_SIDE - 1
 # does it near zero (and is no subnormal, which some processors flush to zero).
 _UP = 2.0**-23
 _UP_NEAR_ZERO = 2.0**-100
+# The same of a float32 sum, which has erred by 2^-24 before, and again in each of two steps.
+_STEP_UP: Any = np.float32(2.0**-22)
+_UP_NEAR_ZERO_SINGLE: Any = np.float32(_UP_NEAR_ZERO)
+_OUTWARD = 2.0**-21
+_FARTHEST, _FARTHEST_REACH = CELL_LIMIT - (1 << 24), np.float32(1 << 24)
+"""Cells from the map's origin to the pose, and from the pose to where a beam hits: together fewer than CELL_LIMIT."""
+_FARTHEST_UP_M = 1e9
+_ZERO: Any = np.float32(0.0)
+_USED, _NO_RANGE, _TOO_WIDE, _TOO_FAR = (np.int32(fate) for fate in (USED, NO_RANGE, TOO_WIDE, TOO_FAR))
+_NOTHING, _ONE_CELL = np.int32(0), np.int32(1)
 
 
 @compiled_into_callers
@@ -114,45 +148,122 @@ def rebuild_table(tiles: int, table: Indices, keys: Keys) -> None:
 
 
 @compiled_without_heap
+def place_block(
+    pose: Floats,
+    count: int,
+    boxes: Singles,
+    inverse: float,
+    max_footprint_m: float,
+    spans: Indices,
+    heights: Cells,
+) -> None:
+    """Where the boxes that `box_block` left lie in the grid: counted in float32 from the cell that holds the pose.
+
+    Each beam's fate, its cells (first and last column i and row j) and its interval: -low, high, as cells have them.
+    What is not USED has cells too, somewhere: no conversion to integers is undefined, and nobody reads them.
+    """
+    column, x_low, x_high = from_its_cell(pose[P_LOW], pose[P_HIGH], inverse)
+    row, y_low, y_high = from_its_cell(pose[P_LOW + 1], pose[P_HIGH + 1], inverse)
+    z_low, z_high = round_up(-pose[P_LOW + 2]), round_up(pose[P_HIGH + 2])
+    singles_of_all: Any = np.float32(inverse), np.float32(max_footprint_m * inverse)
+    in_cells, widest = singles_of_all
+    far = _USED
+    level = pose[P_LOW + 2] > -_FARTHEST_UP_M and pose[P_HIGH + 2] < _FARTHEST_UP_M
+    if abs(column) >= _FARTHEST or abs(row) >= _FARTHEST or not level:
+        far = _TOO_FAR
+    for n in range((count + STEP - 1) & -STEP):
+        x0, x1 = fused(boxes[B_X0 + n], in_cells, x_low), fused(boxes[B_X1 + n], in_cells, x_high)
+        y0, y1 = fused(boxes[B_Y0 + n], in_cells, y_low), fused(boxes[B_Y1 + n], in_cells, y_high)
+        z0, z1 = boxes[B_Z0 + n], boxes[B_Z1 + n]
+        near = (x0 > -_FARTHEST_REACH) & (x1 < _FARTHEST_REACH) & (y0 > -_FARTHEST_REACH) & (y1 < _FARTHEST_REACH)
+        near &= (z0 > -_FARTHEST_REACH) & (z1 < _FARTHEST_REACH)
+        fate = far if near else _TOO_FAR
+        fate = fate if (x1 - x0 <= widest) & (y1 - y0 <= widest) else _TOO_WIDE
+        fate = fate if x0 == x0 else _NO_RANGE
+        heights[2 * n], heights[2 * n + 1] = sum_up(z_low, -z0), sum_up(z_high, z1)
+        i0, i1 = np.int32(np.floor(x0 if near else _ZERO)), np.int32(np.floor(x1 if near else _ZERO))
+        j0, j1 = np.int32(np.floor(y0 if near else _ZERO)), np.int32(np.floor(y1 if near else _ZERO))
+        i0, i1, j0, j1 = np.int32(column + i0), np.int32(column + i1), np.int32(row + j0), np.int32(row + j1)
+        note(n, fate, i0, i1, j0, j1, spans)
+
+
+@compiled_into_callers
+def from_its_cell(low: float, high: float, inverse: float) -> tuple[Any, Any, Any]:
+    """The cell that holds `low`; from that cell's border to `low` and to `high`, in cells, as float32 outward."""
+    if not (low * inverse > -_INDEX_LIMIT and high * inverse < _INDEX_LIMIT):
+        return np.int32(CELL_LIMIT), _ZERO, _ZERO
+    cell = np.floor(low * inverse)
+    return (
+        np.int32(cell),
+        np.float32(low * inverse - cell - _OUTWARD),
+        np.float32((high * inverse - cell) * (1.0 + _OUTWARD) + _OUTWARD),
+    )
+
+
+@compiled_into_callers
+def sum_up(a: Any, b: Any) -> Any:
+    """A float32 not below the sum of two."""
+    total = a + b
+    return fused(abs(total), _STEP_UP, total) + _UP_NEAR_ZERO_SINGLE
+
+
+@compiled_without_heap
 def locate_block(
     count: int, inverse: float, max_footprint_m: float, block: Floats, spans: Indices, heights: Cells
 ) -> None:
-    """Each beam's fate, its cells (first and last column i and row j) and its interval: -low, high, as cells have them.
-
-    What is not USED has cells too, somewhere: no conversion to integers is undefined, and nobody reads them.
-    """
+    """The same of `count` boxes in the map frame, in float64: least and most x, y, z, rows of LANES [B_SIZE]."""
     widest = max_footprint_m * inverse
     for n in range(count):
         x0, y0, z0 = block[B_X0 + n] * inverse, block[B_Y0 + n] * inverse, block[B_Z0 + n]
         x1, y1, z1 = block[B_X1 + n] * inverse, block[B_Y1 + n] * inverse, block[B_Z1 + n]
         near = (x0 > -_INDEX_LIMIT) & (x1 < _INDEX_LIMIT) & (y0 > -_INDEX_LIMIT) & (y1 < _INDEX_LIMIT)
         near &= (z0 * inverse > -_INDEX_LIMIT) & (z1 * inverse < _INDEX_LIMIT)
-        fate = USED if near else TOO_FAR
-        fate = fate if (x1 - x0 <= widest) & (y1 - y0 <= widest) else TOO_WIDE
-        fate = fate if x0 == x0 else NO_RANGE
+        fate = _USED if near else _TOO_FAR
+        fate = fate if (x1 - x0 <= widest) & (y1 - y0 <= widest) else _TOO_WIDE
+        fate = fate if x0 == x0 else _NO_RANGE
         heights[2 * n], heights[2 * n + 1] = round_up(-z0), round_up(z1)
         i0, i1 = np.int32(np.floor(x0 if near else 0.0)), np.int32(np.floor(x1 if near else 0.0))
         j0, j1 = np.int32(np.floor(y0 if near else 0.0)), np.int32(np.floor(y1 if near else 0.0))
-        spans[S_FATE + n], spans[S_I0 + n], spans[S_I1 + n] = fate, i0, i1
-        spans[S_J0 + n], spans[S_J1 + n] = j0, j1
-        one_tile = (((i0 ^ i1) | (j0 ^ j1)) >> TILE_SHIFT == 0) & (fate == USED)
-        spans[S_IX + n], spans[S_IY + n] = i0 >> TILE_SHIFT if one_tile else NOWHERE, j0 >> TILE_SHIFT
-        block_column = i0 & -ALIGNED_CELLS
-        spans[S_PLACE + n] = (j0 & _IN_TILE) * ROW_BYTES + (block_column & _IN_TILE) * CELL_BYTES
-        spans[S_ROWS + n], spans[S_FIRST + n], spans[S_LAST + n] = j1 - j0 + 1, i0 - block_column, i1 - block_column
-        spans[S_WINDOW + n] = BLOCK_BYTES * (BLOCK_CELLS * (i0 - block_column) + (i1 - block_column))
+        note(n, fate, i0, i1, j0, j1, spans)
 
 
 @compiled_into_callers
-def hull_cells(address: np.uint64, rows: int, first: int, last: int, interval: np.uint64) -> bool:
-    """Hull of `rows` rows of cells `first`..`last`, counted from the block at `address`; did any cell change?"""
-    changed = False
+def note(n: int, fate: np.int32, i0: np.int32, i1: np.int32, j0: np.int32, j1: np.int32, spans: Indices) -> None:
+    """A beam's fate and cells, and what follows from them. Each step ends in an int32, or vectors would be of int64."""
+    spans[S_FATE + n], spans[S_I0 + n], spans[S_I1 + n] = fate, i0, i1
+    spans[S_J0 + n], spans[S_J1 + n] = j0, j1
+    ix, iy = np.int32(i0 >> TILE_SHIFT), np.int32(j0 >> TILE_SHIFT)
+    elsewhere = np.int32(np.int32(np.int32(i0 ^ i1) | np.int32(j0 ^ j1)) & ~_IN_TILE)
+    spans[S_IX + n], spans[S_IY + n] = ix if np.int32(elsewhere | fate) == _NOTHING else NOWHERE, iy
+    first = np.int32(i0 & (ALIGNED_CELLS - 1))
+    last = np.int32(np.int32(i1 - i0) + first)
+    column = np.int32(np.int32(i0 & _IN_TILE) - first)
+    spans[S_PLACE + n] = np.int32(np.int32(j0 & _IN_TILE) * ROW_BYTES) + np.int32(column * CELL_BYTES)
+    spans[S_ROWS + n], spans[S_FIRST + n], spans[S_LAST + n] = np.int32(j1 - j0) + 1, first, last
+    window = np.int32(np.int32(np.int32(first * BLOCK_CELLS) + last) * WINDOW_BYTES)
+    wide_window = np.int32(np.int32(np.int32(first * WIDE_CELLS) + last) * WIDE_WINDOW_BYTES)
+    spans[S_WINDOW + n] = window if last < BLOCK_CELLS else wide_window
+    several = np.int32(np.int32(i1 - i0) | np.int32(j1 - j0))
+    spans[S_ONE_CELL + n] = _ONE_CELL if np.int32(several | fate) == _NOTHING else _NOTHING
+
+
+@compiled_into_callers
+def hull_cells(address: np.uint64, rows: int, first: int, last: int, interval: np.uint64, changed: bool) -> bool:
+    """Hull of `rows` rows of cells `first`..`last`, counted from the block at `address`; has any cell changed?"""
     while last >= 0:
-        window = np.uint64(BLOCK_BYTES * (BLOCK_CELLS * max(first, 0) + min(last, BLOCK_CELLS - 1)))
-        changed |= hull_blocks(address, rows, interval, window)
-        address += np.uint64(BLOCK_BYTES)
-        first, last = first - BLOCK_CELLS, last - BLOCK_CELLS
+        window = np.uint64(WIDE_WINDOW_BYTES * (WIDE_CELLS * max(first, 0) + min(last, WIDE_CELLS - 1)))
+        changed = hull_wide(address, rows, interval, window, changed)
+        address += np.uint64(WIDE_CELLS * CELL_BYTES)
+        first, last = first - WIDE_CELLS, last - WIDE_CELLS
     return changed
+
+
+@compiled_into_callers
+def hull_wide(address: np.uint64, rows: int, interval: np.uint64, window: np.uint64, changed: bool) -> bool:
+    """Hull of wide blocks; what has changed already is not looked at again."""
+    if changed:
+        return hull_wide_blocks_unseen(address, rows, interval, window)
+    return hull_wide_blocks(address, rows, interval, window)
 
 
 @compiled_without_heap
@@ -175,88 +286,118 @@ def touch_block(
     """
     plane_address, stride = np.uint64(pool.ctypes.data) + np.uint64(plane * TILE_BYTES), pool.shape[1] * TILE_BYTES
     intervals = np.uint64(heights.ctypes.data)
-    last_ix, last_iy, last_tile, tile_address = NOWHERE, NOWHERE, LEFT_OUT, plane_address
+    for number in range(S_NEIGHBOURS, S_SIZE):
+        spans[number] = NO_TILE
+    ix, iy, tile, tile_address = NO_TILE, NO_TILE, LEFT_OUT, plane_address
+    changed, used = False, 0
     for lane in range(count):
-        fate = spans[S_FATE + lane]
         interval = intervals + np.uint64(CELL_BYTES * lane)
-        if last_tile >= 0 and spans[S_IX + lane] == last_ix and spans[S_IY + lane] == last_iy:
+        if spans[S_IX + lane] == ix and spans[S_IY + lane] == iy:
             # The rule: one tile, the same as that of the beam before.
-            rows, last, window = int(spans[S_ROWS + lane]), int(spans[S_LAST + lane]), spans[S_WINDOW + lane]
+            rows, last = int(spans[S_ROWS + lane]), int(spans[S_LAST + lane])
             address = tile_address + np.uint64(spans[S_PLACE + lane])
+            window = np.uint64(spans[S_WINDOW + lane])
             if last < BLOCK_CELLS:
-                dirty[last_tile] |= hull_blocks(address, rows, interval, np.uint64(window))
-            elif hull_cells(address, rows, int(spans[S_FIRST + lane]), last, interval):
-                dirty[last_tile] = True
-        elif fate == USED:
+                if changed:
+                    hull_blocks_unseen(address, rows, interval, window)
+                else:
+                    changed = hull_blocks(address, rows, interval, window)
+            elif last < WIDE_CELLS:
+                changed = hull_wide(address, rows, interval, window, changed)
+            else:
+                changed = hull_cells(address, rows, int(spans[S_FIRST + lane]), last, interval, changed)
+            if hits and spans[S_ONE_CELL + lane]:
+                changed |= mark_surely_hit(lane, spans, sure[tile])
+            used += 1
+            continue
+        fate = spans[S_FATE + lane]
+        if fate == USED:
             i0, i1 = int(spans[S_I0 + lane]), int(spans[S_I1 + lane])
             j, j1 = int(spans[S_J0 + lane]), int(spans[S_J1 + lane])
             while j <= j1:
                 j_last, i = min(j1, j | _IN_TILE), i0
                 while i <= i1:
-                    i_last, ix, iy = min(i1, i | _IN_TILE), i >> TILE_SHIFT, j >> TILE_SHIFT
-                    if last_tile < 0 or ix != last_ix or iy != last_iy:
-                        tile = tile_at(tile_key(ix, iy), numbers, table, keys)
-                        if tile == POOL_FULL:
-                            return lane
-                        if tile == LEFT_OUT:
+                    i_last, other_ix, other_iy = min(i1, i | _IN_TILE), i >> TILE_SHIFT, j >> TILE_SHIFT
+                    if other_ix != ix or other_iy != iy:
+                        other = neighbour_at(other_ix, other_iy, spans, numbers, table, keys)
+                        if other == LEFT_OUT:
                             fate, i = BEYOND_CAP, i_last + 1
                             continue
-                        last_ix, last_iy, last_tile = np.int32(ix), np.int32(iy), tile
+                        if tile != LEFT_OUT:
+                            dirty[tile] = changed
+                        if other == POOL_FULL:
+                            numbers[USED] += used
+                            return lane
+                        ix, iy, tile, changed = np.int32(other_ix), np.int32(other_iy), other, dirty[other]
                         tile_address = plane_address + np.uint64(tile * stride)
                     row, block = j & _IN_TILE, i & -ALIGNED_CELLS
                     place = np.uint64(row * ROW_BYTES + (block & _IN_TILE) * CELL_BYTES)
-                    if hull_cells(tile_address + place, j_last - j + 1, i - block, i_last - block, interval):
-                        dirty[last_tile] = True
+                    first, last = i - block, i_last - block
+                    changed = hull_cells(tile_address + place, j_last - j + 1, first, last, interval, changed)
                     i = i_last + 1
                 j = j_last + 1
-        if hits and fate == USED and spans[S_ROWS + lane] == 1 and spans[S_FIRST + lane] == spans[S_LAST + lane]:
-            # The hit is in this cell: the footprint reaches no other.
-            row, bit = spans[S_J0 + lane] & _IN_TILE, np.uint64(1) << np.uint64(spans[S_I0 + lane] & _IN_TILE)
-            if sure[last_tile, row] & bit == np.uint64(0):
-                sure[last_tile, row] |= bit
-                dirty[last_tile] = True
+            if hits and fate == USED and spans[S_ONE_CELL + lane]:
+                changed |= mark_surely_hit(lane, spans, sure[tile])
         numbers[fate] += 1
+    if tile != LEFT_OUT:
+        dirty[tile] = changed
+    numbers[USED] += used
     return count
+
+
+@compiled_into_callers
+def neighbour_at(ix: int, iy: int, spans: Indices, numbers: Counts, table: Indices, keys: Keys) -> np.int64:
+    """`tile_at`, which remembers the last tile of either parity: footprints that lie across a border alternate."""
+    place = S_NEIGHBOURS + 3 * ((ix & 1) | (iy & 1) << 1)
+    if spans[place] != ix or spans[place + 1] != iy:
+        tile = tile_at(tile_key(ix, iy), numbers, table, keys)
+        if tile < 0:
+            return tile
+        spans[place], spans[place + 1], spans[place + 2] = ix, iy, tile
+    return np.int64(spans[place + 2])
+
+
+@compiled_into_callers
+def mark_surely_hit(lane: int, spans: Indices, sure: Bits) -> bool:
+    """The hit is in this cell: the footprint reaches no other. Is that news?"""
+    row, bit = spans[S_J0 + lane] & _IN_TILE, np.uint64(1) << np.uint64(spans[S_I0 + lane] & _IN_TILE)
+    before = sure[row]
+    sure[row] = before | bit
+    return before & bit == np.uint64(0)  # type: ignore[no-any-return]
+
+
+# The arrays that `insert_beams` finds bound, in this order; the last ones are the map's own, one row a tile.
+A_LIMITS, A_GEOMETRY, A_SCRATCH, A_POSES, A_NARROW, A_BOXES, A_SPANS, A_HEIGHTS = range(8)
+A_NUMBERS, A_TABLE, A_KEYS, A_DIRTY, A_POOL, A_SURE = range(8, 14)
 
 
 @compiled_without_heap
 def insert_beams(
-    first: int,
-    plane: int,
-    ranges: Floats,
-    pose_low: Floats,
-    pose_high: Floats,
-    order: NDArray[np.uint32],
-    pose_index: Indices,
-    beams: Floats,
-    geometry: Floats,
-    resolution_m: float,
-    max_footprint_m: float,
-    poses: Floats,
-    scratch: Floats,
-    spans: Indices,
-    heights: Cells,
-    numbers: Counts,
-    table: Indices,
-    keys: Keys,
-    dirty: Flags,
-    pool: Cells,
-    sure: Bits,
+    first: int, plane: int, ranges: Floats, pose_low: Floats, pose_high: Floats, order: Bound, arrays: Bound
 ) -> int:
     """Take beams from `first` on into a plane; return the beam that needs more tiles ready, or n when all are done.
 
-    ranges [n]; pose_low, pose_high [m, 6] (BAD_POSES if they are not); order, pose_index, beams: BeamOrder's; poses
-    [>= m, P_SIZE], scratch, spans, heights: scratch; numbers [N_SIZE]; table the hash; keys, dirty, pool, sure one row
-    a tile.
+    ranges [n]; pose_low, pose_high [m, 6] (or BAD_POSES; MANY_POSES where there is no room for m); order: BeamOrder's.
+    arrays, by A_...: [a cell's side, the widest footprint] in metres, the laser's geometry; scratch: work, both rows of
+    `prepare_pose` for each pose, boxes, spans, heights; numbers [N_SIZE], the hash, and one row a tile.
     """
     if pose_low.shape != pose_high.shape or pose_low.shape[1] != 6:
         return BAD_POSES
-    count_all, inverse = ranges.size, 1.0 / resolution_m
-    cosines, sines, ordered = beams[0], beams[1], beams[2]
-    put_in_order(ranges, order, ordered)
-    work, block = scratch[:WORK_SIZE].reshape(W_ROWS, 4), scratch[WORK_SIZE:]
+    beams, directions = floats(order, BY_BEAM).reshape(3, -1), singles(order, BY_DIRECTION).reshape(2, -1)
+    pose_index = integers(order, BY_POSE)
+    put_in_order(ranges, integers(order, BY_ORDER), beams[2])
+    limits, geometry, scratch = floats(arrays, A_LIMITS), floats(arrays, A_GEOMETRY), floats(arrays, A_SCRATCH)
+    poses, narrow = floats(arrays, A_POSES).reshape(-1, P_SIZE), singles(arrays, A_NARROW).reshape(-1, P_SIZE)
+    boxes, spans, heights = singles(arrays, A_BOXES), integers(arrays, A_SPANS), singles(arrays, A_HEIGHTS)
+    numbers, table, keys = counts(arrays, A_NUMBERS), integers(arrays, A_TABLE), words(arrays, A_KEYS)
+    dirty, sure = flags(arrays, A_DIRTY), words(arrays, A_SURE).reshape(-1, TILE_SIDE)
+    pool = singles(arrays, A_POOL).reshape(keys.size, -1, TILE_FLOATS)
+    if pose_low.shape[0] > poses.shape[0]:
+        return MANY_POSES
+    count_all, inverse = ranges.size, 1.0 / limits[0]
+    work = scratch[:WORK_SIZE].reshape(W_ROWS, 4)
     for m in range(pose_low.shape[0]):
-        prepare_pose(pose_low[m], pose_high[m], geometry, work, poses[m])
+        prepare_pose(pose_low[m], pose_high[m], geometry, work, poses[m], narrow[m])
     if first == 0:
         for fate in range(FATES):
             numbers[fate] = 0
@@ -266,10 +407,10 @@ def insert_beams(
         m, count = pose_index[n], run_length(n, pose_index)
         if m < 0 or m >= pose_low.shape[0] or poses[m, P_USABLE] != 1.0:
             for k in range(n, n + count):
-                numbers[NO_POSE if usable_range(ordered[k], geometry) else NO_RANGE] += 1
+                numbers[NO_POSE if usable_range(beams[2, k], geometry) else NO_RANGE] += 1
         else:
-            box_block(poses[m], geometry, n, count, ordered, cosines, sines, block)
-            locate_block(count, inverse, max_footprint_m, block, spans, heights)
+            box_block(narrow[m], geometry, n, count, beams, directions, boxes)
+            place_block(poses[m], count, boxes, inverse, limits[1], spans, heights)
             done = touch_block(count, plane, True, spans, heights, numbers, table, keys, dirty, pool, sure)
             if done < count:
                 return n + done

@@ -24,7 +24,10 @@ G_ACROSS_BOUND = 19
 G_RANGE_BOUND = 20
 G_RANGE_MIN = 21
 G_RANGE_MAX = 22
-G_SIZE = 23
+# How long the lever and its bounds are.
+G_LEVER_LENGTH = 23
+G_LEVER_BOUND_LENGTH = 24
+G_SIZE = 25
 
 
 def laser_geometry(laser: LaserConfig) -> Floats:
@@ -37,15 +40,24 @@ def laser_geometry(laser: LaserConfig) -> Floats:
         radians(laser.angle_bound_deg if laser.across_bound_deg is None else laser.across_bound_deg),
         laser.range_bound_m,
     )
-    return np.array(
+    geometry = np.array(
         [
             *rotation(roll, pitch, yaw).ravel(),
             *(-sin(yaw), cos(yaw)),
             *(laser.mount_x_m, laser.mount_y_m, laser.mount_z_m),
             *(bound * GROW for bound in bounds),
             *(laser.range_min_m, laser.range_max_m),
+            *(0.0, 0.0),
         ]
     )
+    measure_lever(geometry)
+    return geometry
+
+
+def measure_lever(geometries: Floats) -> None:
+    """Fill in how long the lever and its bounds are, in one row [G_SIZE] or many."""
+    for length, at in ((G_LEVER_LENGTH, G_LEVER), (G_LEVER_BOUND_LENGTH, G_LEVER_BOUND)):
+        geometries[..., length] = np.sqrt(np.sum(geometries[..., at : at + 3] ** 2, axis=-1))
 
 
 def rotation(roll: float, pitch: float, yaw: float) -> Floats:

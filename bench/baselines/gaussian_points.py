@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.compiled import compiled
+from mapper.beam_order import STEP
 from mapper.fused import fused
 from mapper.laser_geometry import (
     G_ACROSS_BOUND,
@@ -28,6 +29,7 @@ from mapper.laser_geometry import (
 from mapper.projection import LANES
 
 Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
 
 THREE_SIGMA = 3.0
 """The declared bound is taken for three standard deviations ..."""
@@ -55,19 +57,21 @@ W_GAUSS = 24
 
 # Points of up to LANES beams: rows of LANES numbers.
 N_CENTRE = 0  # x, y, z
-N_P = 3 * LANES  # the six entries
-N_RC = 9 * LANES
-N_RS = 10 * LANES
-N_SIZE = 11 * LANES
+N_SIZE = 3 * LANES
+# In float32, as half-widths are in the map's kernel: the six entries of P, and what they are made of.
+N_P = 0
+N_RANGE = 6 * LANES
+N_SPREADS = 7 * LANES
 
 
 @compiled
 def prepare_gaussian(
-    mean: Floats, covariance: Floats, geometry: Floats, bound_sigmas: float, work: Floats, out: Floats
+    mean: Floats, covariance: Floats, geometry: Floats, bound_sigmas: float, work: Floats, out: Floats, narrow: Singles
 ) -> None:
     """Fill the row `out` [Q_SIZE] for the pose N(mean [6], covariance [6, 6]); `work` is [W_GAUSS, 6].
 
-    Every bound of the laser's geometry is taken for `bound_sigmas` standard deviations.
+    narrow: the same row as float32. Every bound of the laser's geometry is taken for `bound_sigmas` standard
+    deviations.
     """
     roll, pitch, yaw = mean[3], mean[4], mean[5]
     cr, sr, cp, sp, cy, sy = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
@@ -131,6 +135,8 @@ def prepare_gaussian(
             out[_RC_RC + e] += variance * A[i, 0] * A[j, 0]
             out[_RC_RS + e] += variance * (A[i, 0] * A[j, 1] + A[i, 1] * A[j, 0])
             out[_RS_RS + e] += variance * A[i, 1] * A[j, 1]
+    for k in range(Q_SIZE):
+        narrow[k] = np.float32(out[k])
 
 
 @compiled
@@ -144,34 +150,38 @@ def _product(work: Floats, T: Floats, m: int, n: int, i: int, j: int) -> float:
 
 @compiled
 def point_block(
-    pose: Floats, geometry: Floats, first: int, count: int, ranges: Floats, cosines: Floats, sines: Floats, out: Floats
+    pose: Floats,
+    narrow: Singles,
+    geometry: Floats,
+    first: int,
+    count: int,
+    beams: Floats,
+    directions: Singles,
+    out: Floats,
+    spreads: Singles,
 ) -> None:
-    """Mean and covariance of `count` <= LANES points from beam `first` on, all of one pose, into `out` [N_SIZE].
+    """Mean [N_SIZE] and covariance [N_SPREADS] of `count` <= LANES points from beam `first` on, all of one pose.
 
-    A lane without a usable range holds the point of range zero: nobody reads it.
+    beams, directions: BeamOrder's, with the ranges. A lane without a usable range holds the point of range zero: nobody
+    reads it. As in the map's kernel each loop is of one type and takes whole vectors.
     """
     least, most = geometry[G_RANGE_MIN], geometry[G_RANGE_MAX]
-    ranges, cosines, sines = ranges[first : first + count], cosines[first : first + count], sines[first : first + count]
-    for n in range(count):
+    steps = (count + STEP - 1) & -STEP
+    cosines, sines, ranges = beams[0, first:][:steps], beams[1, first:][:steps], beams[2, first:][:steps]
+    for n in range(steps):
         r = ranges[n]
         r = r if (least <= r) & (r <= most) else 0.0
-        out[N_RC + n], out[N_RS + n] = r * cosines[n], r * sines[n]
-    for i in range(3):
-        at, origin, u_c, u_s = N_CENTRE + i * LANES, pose[Q_CENTRE + i], pose[Q_U_COS + i], pose[Q_U_SIN + i]
-        for n in range(count):
-            out[at + n] = fused(out[N_RC + n], u_c, fused(out[N_RS + n], u_s, origin))
-    for e in range(6):
-        at = N_P + e * LANES
-        one, x, y = pose[_ONE + e], pose[_RC + e], pose[_RS + e]
-        xx, xy, yy, cc, cs, ss = (
-            pose[_RC_RC + e],
-            pose[_RC_RS + e],
-            pose[_RS_RS + e],
-            pose[_CC + e],
-            pose[_CS + e],
-            pose[_SS + e],
-        )
-        for n in range(count):
-            rc, rs, c, s = out[N_RC + n], out[N_RS + n], cosines[n], sines[n]
-            p = fused(rc, fused(rc, xx, fused(rs, xy, x)), fused(rs, fused(rs, yy, y), one))
-            out[at + n] = fused(c, fused(c, cc, s * cs), fused(s * s, ss, p))
+        rc, rs = r * cosines[n], r * sines[n]
+        for i in range(3):
+            centre = fused(rc, pose[Q_U_COS + i], fused(rs, pose[Q_U_SIN + i], pose[Q_CENTRE + i]))
+            out[N_CENTRE + i * LANES + n] = centre
+        spreads[N_RANGE + n] = np.float32(r)
+    narrow_cosines, narrow_sines = directions[0, first:][:steps], directions[1, first:][:steps]
+    for n in range(steps):
+        r, c, s = spreads[N_RANGE + n], narrow_cosines[n], narrow_sines[n]
+        rc, rs = r * c, r * s
+        for e in range(6):
+            p = fused(rc, narrow[_RC_RC + e], fused(rs, narrow[_RC_RS + e], narrow[_RC + e]))
+            p = fused(rc, p, fused(rs, fused(rs, narrow[_RS_RS + e], narrow[_RS + e]), narrow[_ONE + e]))
+            p = fused(c, fused(c, narrow[_CC + e], s * narrow[_CS + e]), fused(s * s, narrow[_SS + e], p))
+            spreads[N_P + e * LANES + n] = p

@@ -7,7 +7,8 @@ that the true pitch may change, too).
 
 Rounding. Where |x| + |h| + r is less than B = 2^16 m, the computed X and Z err by less than 12 u B (u = 2^-53; a sine
 by 8 u), the division into cells by 3 u B: PAD is more. The half-widths, sums of products of positive numbers, err by
-less than 20 u of themselves: the bounds, made larger by GROW first, hold more than that.
+less than 20 u of themselves: the bounds, made larger by GROW first, hold more than that. Stored as float32 an end moves
+by 2^-24 of itself at most, and it is no more than |h| + r + dZ: SINGLE of those, part of dZ, is more than twice that.
 """
 
 from math import inf
@@ -19,13 +20,13 @@ from bench.baselines.beam_1d import LANES, Scratch, end_of_beam
 from bench.baselines.cell_pair import PAIR_BYTES, hull_pair
 from drivers.compiled import compiled, compiled_unlocked
 from mapper.fused import fused
-from mapper.kernel import round_up
 
 Floats = NDArray[np.float64]
 Cells = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 PAD = 2.0**-32
 """m: 15 u B is less than 2^-33."""
+SINGLE = 2.0**-22
 GROW = 1.0 + 2.0**-46
 AHEAD = 0  # r cos pitch
 SLACK = LANES  # how far the true beam's length along the ground can be from that
@@ -99,7 +100,8 @@ def _bound_block(
     """Intervals of place and elevation (3), rounded outward, and the cells that the place's meets."""
     b_x, b_pitch, b_range = GROW * bounds[0], GROW * bounds[1], GROW * bounds[2]
     per_r = 0.5 * b_pitch * b_pitch
-    constant = b_range * b_pitch + per_r * b_range + PAD
+    constant = (1.0 + SINGLE) * (b_range * b_pitch + per_r * b_range) + SINGLE * (abs(height_m) + b_range) + PAD
+    per_r = (1.0 + SINGLE) * per_r + SINGLE * (1.0 + b_pitch)
     x, pitch, ranges = x[first : first + count], pitch[first : first + count], ranges[first : first + count]
     for n in range(count):
         r = ranges[n]
@@ -110,7 +112,7 @@ def _bound_block(
         dX = b_x + slack
         dZ = fused(abs(s), b_range, fused(abs(ahead), b_pitch, rest))
         rows[AHEAD + n], rows[SLACK + n], rows[X_LOW + n], rows[X_HIGH + n] = ahead, slack, X - dX, X + dX
-        ends[2 * n], ends[2 * n + 1] = round_up(dZ - Z), round_up(Z + dZ)
+        ends[2 * n], ends[2 * n + 1] = np.float32(dZ - Z), np.float32(Z + dZ)
         spans[n] = np.int32(np.floor(fused(X - dX, per_m, 0.5)))
         spans[LANES + n] = np.int32(np.floor(fused(X + dX, per_m, 0.5)))
 

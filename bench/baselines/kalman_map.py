@@ -11,6 +11,7 @@ from bench.baselines.gaussian_points import (
     N_CENTRE,
     N_P,
     N_SIZE,
+    N_SPREADS,
     Q_SIZE,
     THREE_SIGMA,
     W_GAUSS,
@@ -22,8 +23,9 @@ from drivers.compiled import compiled, compiled_without_heap
 from drivers.config import LaserConfig
 from drivers.samples import Scan
 from mapper import kernel
-from mapper.beam_order import BeamOrder, put_in_order
-from mapper.grid import CELL_LIMIT, TILE_SHIFT, TILE_SIDE, tile_key
+from mapper.beam_order import BY_BEAM, BY_DIRECTION, BY_ORDER, BY_POSE, BeamOrder, put_in_order
+from mapper.bound_arrays import Bound, bind, counts, floats, integers, singles, words
+from mapper.grid import CELL_LIMIT, TILE_CELLS, TILE_SHIFT, TILE_SIDE, tile_key
 from mapper.laser_geometry import laser_geometry, usable_range
 from mapper.projection import LANES, run_length
 
@@ -51,41 +53,35 @@ def fuse(cell: Singles, at: int, z: float, variance: float, travelled_m: float, 
     cell[_HEIGHT, at], cell[_VARIANCE, at] = np.float32(h), np.float32(v)
 
 
+A_SETTINGS, A_GEOMETRY, A_POSES, A_NARROW, A_WORK, A_POINTS, A_SPREADS = range(7)
+A_NUMBERS, A_TABLE, A_KEYS, A_POOL = range(7, 11)
+
+
 @compiled_without_heap
 def fuse_beams(
-    ranges: Floats,
-    order: NDArray[np.uint32],
-    pose_index: Indices,
-    beams: Floats,
-    means: Floats,
-    covariances: Floats,
-    geometry: Floats,
-    bound_sigmas: float,
-    resolution_m: float,
-    travelled_m: float,
-    growth: float,
-    poses: Floats,
-    work: Floats,
-    points: Floats,
-    numbers: NDArray[np.int64],
-    table: Indices,
-    keys: NDArray[np.uint64],
-    pool: Singles,
+    ranges: Floats, means: Floats, covariances: Floats, travelled_m: float, order: Bound, arrays: Bound
 ) -> None:
-    """One scan into the map."""
-    ordered = beams[2]
-    put_in_order(ranges, order, ordered)
+    """One scan into the map. Arrays are bound, as the mapper's kernel has them."""
+    beams, directions = floats(order, BY_BEAM).reshape(3, -1), singles(order, BY_DIRECTION).reshape(2, -1)
+    pose_index, settings, geometry = integers(order, BY_POSE), floats(arrays, A_SETTINGS), floats(arrays, A_GEOMETRY)
+    bound_sigmas, resolution_m, growth = settings[0], settings[1], settings[2]
+    poses, narrow = floats(arrays, A_POSES).reshape(-1, Q_SIZE), singles(arrays, A_NARROW).reshape(-1, Q_SIZE)
+    work, points = floats(arrays, A_WORK).reshape(W_GAUSS, 6), floats(arrays, A_POINTS)
+    spreads, numbers = singles(arrays, A_SPREADS), counts(arrays, A_NUMBERS)
+    table, keys = integers(arrays, A_TABLE), words(arrays, A_KEYS)
+    pool, ordered = singles(arrays, A_POOL).reshape(keys.size, -1, TILE_CELLS), beams[2]
+    put_in_order(ranges, integers(order, BY_ORDER), ordered)
     for m in range(means.shape[0]):
-        prepare_gaussian(means[m], covariances[m], geometry, bound_sigmas, work, poses[m])
+        prepare_gaussian(means[m], covariances[m], geometry, bound_sigmas, work, poses[m], narrow[m])
     inverse, limit = 1.0 / resolution_m, float(CELL_LIMIT)
     last_key, last_tile = np.uint64(0), np.int64(-1)
     first = 0
-    while first < ordered.size:
+    while first < ranges.size:
         m, count = pose_index[first], run_length(first, pose_index)
         if m < 0 or m >= means.shape[0]:
             numbers[kernel.NO_POSE] += count
         else:
-            point_block(poses[m], geometry, first, count, ordered, beams[0], beams[1], points)
+            point_block(poses[m], narrow[m], geometry, first, count, beams, directions, points, spreads)
             for n in range(count):
                 x, y = points[N_CENTRE + n] * inverse, points[N_CENTRE + LANES + n] * inverse
                 if not usable_range(ordered[first + n], geometry):
@@ -102,7 +98,7 @@ def fuse_beams(
                         numbers[kernel.BEYOND_CAP] += 1
                     else:
                         last_key, last_tile = key, tile
-                        z, variance = points[N_CENTRE + 2 * LANES + n], points[N_P + 5 * LANES + n]
+                        z, variance = points[N_CENTRE + 2 * LANES + n], float(spreads[N_P + 5 * LANES + n])
                         at = (j & _IN_TILE) * TILE_SIDE + (i & _IN_TILE)
                         fuse(pool[tile], at, z, variance, travelled_m, growth, pool.shape[1])
                         numbers[kernel.USED] += 1
@@ -124,11 +120,17 @@ class KalmanMap:
         self.resolution_m = resolution_m
         self.layers = TiledLayers(3 if growth_m2_per_m > 0.0 else 2, np.nan, tiles)
         self.travelled_m = 0.0
-        self._bound_sigmas, self._growth = bound_sigmas, growth_m2_per_m
+        self._growth = growth_m2_per_m
         self._geometry = laser_geometry(laser)
         self._order = BeamOrder()
-        self._poses, self._work = np.empty((64, Q_SIZE)), np.empty((W_GAUSS, 6))
-        self._points = np.zeros(N_SIZE)
+        self._poses, self._narrow = np.empty((64, Q_SIZE)), np.empty((64, Q_SIZE), np.float32)
+        self._work, self._spreads = np.empty((W_GAUSS, 6)), np.zeros(N_SPREADS, np.float32)
+        self._points, self._settings = np.zeros(N_SIZE), np.array([bound_sigmas, resolution_m, growth_m2_per_m])
+        layers = self.layers
+        self._bound = bind(
+            *(self._settings, self._geometry, self._poses, self._narrow, self._work, self._points, self._spreads),
+            *(layers.numbers, layers.table, layers.keys, layers.pool),
+        )
 
     @property
     def bytes_a_cell(self) -> int:
@@ -139,14 +141,7 @@ class KalmanMap:
         """Take a scan in whose beam i was shot from N(mean, covariance)[pose_index[i]]; set `travelled_m` before."""
         order = self._order
         order.arrange(scan, pose_index)
-        layers = self.layers
-        # fmt: off
-        fuse_beams(
-            scan.ranges_m, order.order, order.pose_index, order.beams, mean, covariance,
-            self._geometry, self._bound_sigmas, self.resolution_m, self.travelled_m, self._growth,
-            self._poses, self._work, self._points, layers.numbers, layers.table, layers.keys, layers.pool,
-        )
-        # fmt: on
+        fuse_beams(scan.ranges_m, mean, covariance, self.travelled_m, order.bound, self._bound)
 
     def estimate(self) -> tuple[Floats, Floats, tuple[int, int]]:
         """Elevation and standard deviation [ny, nx] (NaN where nothing was seen), number of the first cell."""

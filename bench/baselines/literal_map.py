@@ -23,7 +23,8 @@ from drivers.compiled import compiled, compiled_unlocked
 from drivers.config import LaserConfig
 from drivers.samples import Scan
 from mapper import kernel
-from mapper.beam_order import BeamOrder, put_in_order
+from mapper.beam_order import BY_BEAM, BY_ORDER, BY_POSE, BeamOrder, put_in_order
+from mapper.bound_arrays import Bound, bind, counts, flags, floats, integers, singles, words
 from mapper.grid import TILE_SIDE
 from mapper.laser_geometry import G_SCAN_BOUND, laser_geometry
 from mapper.pose_terms import W_ROWS
@@ -43,43 +44,38 @@ def interval_table(directions: Floats, bound_rad: float, out: Floats) -> None:
         out[2, i], out[3, i] = cosine_bounds(angle - bound_rad - quarter, angle + bound_rad - quarter)
 
 
+_POSE_SIZE = max(F_SIZE, I_SIZE)
+A_LIMITS, A_GEOMETRY, A_MOUNT, A_POSES, A_MATRICES, A_WORK, A_BLOCK, A_SPANS, A_HEIGHTS = range(9)
+A_NUMBERS, A_TABLE, A_KEYS, A_DIRTY, A_POOL, A_SURE = range(9, 15)
+
+
 @compiled_unlocked
 def insert_literally(
     natural: bool,
     ranges: Floats,
-    order: NDArray[np.uint32],
-    pose_index: Indices,
-    beams: Floats,
     intervals: Floats,
     pose_low: Floats,
     pose_high: Floats,
-    geometry: Floats,
-    mount: Floats,
-    resolution_m: float,
-    max_footprint_m: float,
-    poses: Floats,
-    matrices: Floats,
-    work: Floats,
-    block: Floats,
-    spans: Indices,
-    heights: NDArray[np.float32],
-    numbers: NDArray[np.int64],
-    table: Indices,
-    keys: NDArray[np.uint64],
-    dirty: NDArray[np.bool_],
-    pool: NDArray[np.float32],
-    sure: NDArray[np.uint64],
+    order: Bound,
+    arrays: Bound,
 ) -> None:
-    """One scan into the map."""
-    ordered = beams[2]
-    put_in_order(ranges, order, ordered)
+    """One scan into the map. Arrays are bound, as the mapper's kernel has them."""
+    beams, pose_index = floats(order, BY_BEAM).reshape(3, -1), integers(order, BY_POSE)
+    limits, geometry, mount = floats(arrays, A_LIMITS), floats(arrays, A_GEOMETRY), floats(arrays, A_MOUNT)
+    poses, block = floats(arrays, A_POSES).reshape(-1, _POSE_SIZE), floats(arrays, A_BLOCK)
+    matrices, work = floats(arrays, A_MATRICES).reshape(5, 3, 3, 2), floats(arrays, A_WORK).reshape(W_ROWS, 4)
+    spans, heights = integers(arrays, A_SPANS), singles(arrays, A_HEIGHTS)
+    numbers, table, keys = counts(arrays, A_NUMBERS), integers(arrays, A_TABLE), words(arrays, A_KEYS)
+    dirty, sure = flags(arrays, A_DIRTY), words(arrays, A_SURE).reshape(-1, TILE_SIDE)
+    pool, ordered = singles(arrays, A_POOL).reshape(keys.size, 1, kernel.TILE_FLOATS), beams[2]
+    put_in_order(ranges, integers(order, BY_ORDER), ordered)
     for m in range(pose_low.shape[0]):
         if natural:
             prepare_intervals(pose_low[m], pose_high[m], geometry, mount, matrices, poses[m])
         else:
             prepare_first_order(pose_low[m], pose_high[m], geometry, work, poses[m])
     n = 0
-    while n < ordered.size:
+    while n < ranges.size:
         m, count = pose_index[n], run_length(n, pose_index)
         if m < 0 or m >= pose_low.shape[0]:
             numbers[kernel.NO_POSE] += count
@@ -88,7 +84,7 @@ def insert_literally(
                 natural_block(poses[m], geometry, n, count, ordered, intervals, block)
             else:
                 first_order_block(poses[m], geometry, n, count, ordered, beams[0], beams[1], block)
-            kernel.locate_block(count, 1.0 / resolution_m, max_footprint_m, block, spans, heights)
+            kernel.locate_block(count, 1.0 / limits[0], limits[1], block, spans, heights)
             kernel.touch_block(count, 0, True, spans, heights, numbers, table, keys, dirty, pool, sure)
         n += count
 
@@ -113,33 +109,30 @@ class LiteralMap:
         self._mount = np.array(
             [radians(laser.mount_roll_deg), -radians(laser.mount_pitch_deg), radians(laser.mount_yaw_deg)]
         )
-        self._max_footprint_m = max_footprint_m
+        self._limits = np.array([resolution_m, max_footprint_m])
         self._order = BeamOrder()
         self._beams, self._intervals = np.empty((3, 0)), np.empty((4, 0))
-        self._poses = np.empty((64, max(F_SIZE, I_SIZE)))
+        self._poses = np.empty((64, _POSE_SIZE))
         self._matrices, self._work = np.empty((5, 3, 3, 2)), np.empty((W_ROWS, 4))
         self._block = np.zeros(B_SIZE)
         self._spans, self._heights = np.zeros(kernel.S_SIZE, np.int32), np.zeros(2 * LANES, np.float32)
         self._dirty, self._sure = np.zeros(tiles, np.bool_), np.zeros((tiles, TILE_SIDE), np.uint64)
         # The hull's own layout: (-low, high) of a cell side by side, in one plane.
-        self._pool = self.layers.pool.reshape(tiles, 1, kernel.TILE_FLOATS)
+        layers = self.layers
+        self._bound = bind(
+            *(self._limits, self._geometry, self._mount, self._poses, self._matrices, self._work),
+            *(self._block, self._spans, self._heights),
+            *(layers.numbers, layers.table, layers.keys, self._dirty, layers.pool, self._sure),
+        )
 
     def insert(self, scan: Scan, low: Floats, high: Floats, pose_index: Indices) -> None:
         """Take a scan in whose beam i was shot from the pose box [low, high][pose_index[i]]."""
         order = self._order
         order.arrange(scan, pose_index)
         if self._natural and order.beams is not self._beams:
-            self._beams, self._intervals = order.beams, np.empty((4, scan.ranges_m.size))
+            self._beams, self._intervals = order.beams, np.empty((4, order.beams.shape[1]))
             interval_table(order.beams, float(self._geometry[G_SCAN_BOUND]), self._intervals)
-        layers = self.layers
-        # fmt: off
-        insert_literally(
-            self._natural, scan.ranges_m, order.order, order.pose_index, order.beams, self._intervals, low, high,
-            self._geometry, self._mount, self.resolution_m, self._max_footprint_m,
-            self._poses, self._matrices, self._work, self._block, self._spans, self._heights,
-            layers.numbers, layers.table, layers.keys, self._dirty, self._pool, self._sure,
-        )
-        # fmt: on
+        insert_literally(self._natural, scan.ranges_m, self._intervals, low, high, order.bound, self._bound)
 
     def bounds(self) -> tuple[Floats, Floats, tuple[int, int]]:
         """Low and high [ny, nx] (NaN where nothing was seen), number of the first cell."""

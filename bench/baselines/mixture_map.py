@@ -13,6 +13,8 @@ correlated errors, 0.8 to 7 m, cells of 5 and 10 cm). Neglecting the correlation
 misplaces 7 to 17 % in the mean (tests/bench/test_plane_baselines.py).
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +22,7 @@ from bench.baselines.gaussian_points import (
     N_CENTRE,
     N_P,
     N_SIZE,
+    N_SPREADS,
     Q_SIZE,
     THREE_SIGMA,
     W_GAUSS,
@@ -32,11 +35,12 @@ from drivers.compiled import compiled, compiled_without_heap
 from drivers.config import LaserConfig
 from drivers.samples import Scan
 from mapper import kernel
-from mapper.beam_order import BeamOrder, put_in_order
+from mapper.beam_order import BY_BEAM, BY_DIRECTION, BY_ORDER, BY_POSE, STEP, BeamOrder, put_in_order
+from mapper.bound_arrays import Bound, bind, counts, floats, integers, singles, words
 from mapper.grid import CELL_LIMIT, TILE_CELLS, TILE_SHIFT, TILE_SIDE, tile_key
 from mapper.laser_geometry import laser_geometry, usable_range
 from mapper.projection import LANES as BEAMS
-from mapper.projection import run_length
+from mapper.projection import larger, run_length
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -68,28 +72,34 @@ V_APART = 9 * BEAMS  # 1: x and y hardly correlate
 V_SIZE = 10 * BEAMS
 
 
+_SINGLES: Any = F32(0.0), F32(1.0), F32(1e-12), F32(1.0 / 12.0)
+_ZERO, _ONE, _TINY, _ROW_VARIANCE = _SINGLES
+
+
 @compiled
-def condition_block(count: int, points: Floats, inverse: float, independent: float, out: Floats) -> None:
-    """What conditioning on the row, and on x and y, makes of each point's covariance (equation 7)."""
-    for n in range(count):
-        xx, xy, yy = points[N_P + n], points[N_P + BEAMS + n], points[N_P + 2 * BEAMS + n]
-        xz, yz, zz = points[N_P + 3 * BEAMS + n], points[N_P + 4 * BEAMS + n], points[N_P + 5 * BEAMS + n]
-        xx, yy = xx + 1e-12, yy + 1e-12
+def condition_block(count: int, spreads: Singles, per_m: Any, independent: Any, out: Singles) -> None:
+    """What conditioning on the row, and on x and y, makes of each point's covariance (equation 7). All in float32."""
+    widest = F32(MOST_CELLS / (2.0 * CUT))
+    for n in range((count + STEP - 1) & -STEP):
+        xx, xy, yy = spreads[N_P + n], spreads[N_P + BEAMS + n], spreads[N_P + 2 * BEAMS + n]
+        xz, yz, zz = spreads[N_P + 3 * BEAMS + n], spreads[N_P + 4 * BEAMS + n], spreads[N_P + 5 * BEAMS + n]
+        xx, yy = xx + _TINY, yy + _TINY
         turn = xy / yy
-        column = max(xx - turn * xy, 1e-12)
+        column = larger(_TINY, xx - turn * xy)
         # P_EN^-1 by its Schur complement.
         slope_x = (xz - turn * yz) / column
         slope_y = yz / yy - turn * slope_x
         apart = xy * xy < independent * independent * xx * yy
-        in_row = min(yy * inverse * inverse, 1.0 / 12.0)
-        sigma = np.sqrt(yy) * inverse
-        scatter = np.sqrt(xx * inverse * inverse if apart else column * inverse * inverse + turn * turn * in_row)
-        out[V_ROW_SIGMA + n], out[V_PER_SIGMA + n] = sigma, 1.0 / sigma
-        out[V_SCATTER + n], out[V_PER_SCATTER + n] = scatter, 1.0 / scatter
-        out[V_TURN + n], out[V_APART + n] = turn, apart
-        out[V_NARROW + n] = 2.0 * CUT * max(sigma, np.sqrt(xx) * inverse) < MOST_CELLS
+        in_row = yy * per_m * per_m
+        in_row = in_row if in_row < _ROW_VARIANCE else _ROW_VARIANCE
+        sigma = np.sqrt(yy) * per_m
+        scatter = np.sqrt(xx * per_m * per_m if apart else column * per_m * per_m + turn * turn * in_row)
+        out[V_ROW_SIGMA + n], out[V_PER_SIGMA + n] = sigma, _ONE / sigma
+        out[V_SCATTER + n], out[V_PER_SCATTER + n] = scatter, _ONE / scatter
+        out[V_TURN + n], out[V_APART + n] = turn, _ONE if apart else _ZERO
+        out[V_NARROW + n] = _ONE if (sigma < widest) & (np.sqrt(xx) * per_m < widest) else _ZERO
         out[V_SLOPE_X + n], out[V_SLOPE_Y + n] = slope_x, slope_y
-        out[V_VARIANCE + n] = max(zz - slope_x * xz - slope_y * yz, 0.0)
+        out[V_VARIANCE + n] = larger(_ZERO, zz - slope_x * xz - slope_y * yz)
 
 
 @compiled
@@ -100,7 +110,7 @@ def mix_block(
     geometry: Floats,
     resolution_m: float,
     points: Floats,
-    given: Floats,
+    given: Singles,
     rows: Singles,
     shares: Singles,
     numbers: NDArray[np.int64],
@@ -118,7 +128,7 @@ def mix_block(
             numbers[kernel.NO_RANGE] += 1
             continue
         y, x = points[N_CENTRE + BEAMS + n] * inverse, points[N_CENTRE + n] * inverse
-        sigma, turn, scatter = given[V_ROW_SIGMA + n], given[V_TURN + n], given[V_SCATTER + n]
+        sigma, turn, scatter = float(given[V_ROW_SIGMA + n]), float(given[V_TURN + n]), float(given[V_SCATTER + n])
         if given[V_NARROW + n] != 1.0:  # NaN too
             numbers[kernel.TOO_WIDE] += 1
             continue
@@ -135,7 +145,7 @@ def mix_block(
             for k in range(0, i1 - i0 + 1, CELLS_A_STEP):
                 masses(shares_at + np.uint64(4 * k), F32((i0 + k - x) * across), F32(across))
         slope_x, slope_y = given[V_SLOPE_X + n] * resolution_m, given[V_SLOPE_Y + n] * resolution_m
-        z, variance = points[N_CENTRE + 2 * BEAMS + n], F32(given[V_VARIANCE + n])
+        z, variance = points[N_CENTRE + 2 * BEAMS + n], given[V_VARIANCE + n]
         fate = kernel.USED
         for j in range(j0, j1 + 1):
             # Phi and density of 16 borders lie in groups of 32 numbers.
@@ -172,42 +182,33 @@ def mix_block(
         numbers[fate] += 1
 
 
+A_SETTINGS, A_GEOMETRY, A_POSES, A_NARROW, A_WORK, A_POINTS, A_SPREADS, A_GIVEN, A_ROWS, A_SHARES = range(10)
+A_NUMBERS, A_TABLE, A_KEYS, A_POOL = range(10, 14)
+
+
 @compiled_without_heap
-def mix_beams(
-    ranges: Floats,
-    order: NDArray[np.uint32],
-    pose_index: Indices,
-    beams: Floats,
-    means: Floats,
-    covariances: Floats,
-    geometry: Floats,
-    bound_sigmas: float,
-    resolution_m: float,
-    independent: float,
-    poses: Floats,
-    work: Floats,
-    points: Floats,
-    given: Floats,
-    rows: Singles,
-    shares: Singles,
-    numbers: NDArray[np.int64],
-    table: Indices,
-    keys: NDArray[np.uint64],
-    pool: Singles,
-) -> None:
-    """One scan into the map: points, conditioning, cells."""
-    ordered = beams[2]
-    put_in_order(ranges, order, ordered)
+def mix_beams(ranges: Floats, means: Floats, covariances: Floats, order: Bound, arrays: Bound) -> None:
+    """One scan into the map: points, conditioning, cells. Arrays are bound, as the mapper's kernel has them."""
+    beams, directions = floats(order, BY_BEAM).reshape(3, -1), singles(order, BY_DIRECTION).reshape(2, -1)
+    pose_index, settings, geometry = integers(order, BY_POSE), floats(arrays, A_SETTINGS), floats(arrays, A_GEOMETRY)
+    bound_sigmas, resolution_m, independent = settings[0], settings[1], settings[2]
+    poses, narrow = floats(arrays, A_POSES).reshape(-1, Q_SIZE), singles(arrays, A_NARROW).reshape(-1, Q_SIZE)
+    work, points = floats(arrays, A_WORK).reshape(W_GAUSS, 6), floats(arrays, A_POINTS)
+    spreads, given = singles(arrays, A_SPREADS), singles(arrays, A_GIVEN)
+    rows, shares = singles(arrays, A_ROWS), singles(arrays, A_SHARES)
+    numbers, table, keys = counts(arrays, A_NUMBERS), integers(arrays, A_TABLE), words(arrays, A_KEYS)
+    pool, ordered = singles(arrays, A_POOL).reshape(keys.size, 3, TILE_CELLS), beams[2]
+    put_in_order(ranges, integers(order, BY_ORDER), ordered)
     for m in range(means.shape[0]):
-        prepare_gaussian(means[m], covariances[m], geometry, bound_sigmas, work, poses[m])
+        prepare_gaussian(means[m], covariances[m], geometry, bound_sigmas, work, poses[m], narrow[m])
     n = 0
-    while n < ordered.size:
+    while n < ranges.size:
         m, count = pose_index[n], run_length(n, pose_index)
         if m < 0 or m >= means.shape[0]:
             numbers[kernel.NO_POSE] += count
         else:
-            point_block(poses[m], geometry, n, count, ordered, beams[0], beams[1], points)
-            condition_block(count, points, 1.0 / resolution_m, independent, given)
+            point_block(poses[m], narrow[m], geometry, n, count, beams, directions, points, spreads)
+            condition_block(count, spreads, F32(1.0 / resolution_m), F32(independent), given)
             # fmt: off
             mix_block(
                 count, n, ordered, geometry, resolution_m, points, given, rows, shares, numbers, table, keys, pool,
@@ -232,26 +233,24 @@ class MixtureMap:
         """`independent`: correlation of x and y below which it is neglected; 1.0 neglects it always."""
         self.resolution_m = resolution_m
         self.layers = TiledLayers(3, 0.0, tiles)
-        self._bound_sigmas, self._independent = bound_sigmas, independent
         self._geometry = laser_geometry(laser)
         self._order = BeamOrder()
-        self._poses, self._work = np.empty((64, Q_SIZE)), np.empty((W_GAUSS, 6))
-        self._points, self._given = np.zeros(N_SIZE), np.zeros(V_SIZE)
+        self._poses, self._narrow = np.empty((64, Q_SIZE)), np.empty((64, Q_SIZE), F32)
+        self._work, self._points = np.empty((W_GAUSS, 6)), np.zeros(N_SIZE)
+        self._spreads, self._given = np.zeros(N_SPREADS, F32), np.zeros(V_SIZE, F32)
         self._rows, self._shares = np.zeros(2 * _BORDERS, F32), np.zeros(_BORDERS + LANES, F32)
+        layers, self._settings = self.layers, np.array([bound_sigmas, resolution_m, independent])
+        self._bound = bind(
+            *(self._settings, self._geometry, self._poses, self._narrow, self._work),
+            *(self._points, self._spreads, self._given, self._rows, self._shares),
+            *(layers.numbers, layers.table, layers.keys, layers.pool),
+        )
 
     def insert(self, scan: Scan, mean: Floats, covariance: Floats, pose_index: Indices) -> None:
         """Take a scan in whose beam i was shot from N(mean, covariance)[pose_index[i]] ([m, 6] and [m, 6, 6])."""
         order = self._order
         order.arrange(scan, pose_index)
-        layers = self.layers
-        # fmt: off
-        mix_beams(
-            scan.ranges_m, order.order, order.pose_index, order.beams, mean, covariance,
-            self._geometry, self._bound_sigmas, self.resolution_m, self._independent,
-            self._poses, self._work, self._points, self._given, self._rows, self._shares,
-            layers.numbers, layers.table, layers.keys, layers.pool,
-        )
-        # fmt: on
+        mix_beams(scan.ranges_m, mean, covariance, order.bound, self._bound)
 
     def estimate(self) -> tuple[Floats, Floats, tuple[int, int]]:
         """Mean and standard deviation [ny, nx] (equation 9; NaN where not observed), number of the first cell."""

@@ -291,19 +291,39 @@ def test_sixty_digit_corners_are_inside_and_interval_arithmetic_agrees(level: st
     assert narrower < 0.2 * 3 * len(range(0, BEAMS, 8)) or level == "steep"
 
 
-@pytest.mark.parametrize("far", [1.0, 1e4, 1e7])
+@pytest.mark.parametrize("far", [1.0, 1e4, 1e7, 1e11])
 def test_rounding_is_covered_when_nothing_else_is_uncertain(far: float) -> None:
-    """With a point as pose box and vanishing bounds, the exact point is inside, and the box is nanometres wide."""
+    """With a point as pose box and vanishing bounds, the exact point is inside, and the box is micrometres wide."""
     case = a_case(0.0, 0.0, far=far)
     tiny = {"mount_position_bound_m": 0.0, "mount_angle_bound_deg": 0.0, "angle_bound_deg": 0.0}
     case.laser = a_laser(range_bound_m=1e-300, **tiny)
     boxes = case.boxes()
-    assert np.max(boxes.high - boxes.low) < 1e-10 + 1e-11 * far
+    assert np.max(boxes.high - boxes.low) < 3e-5 + 1e-11 * far
     with mpmath.workdps(60):
         for n in range(0, BEAMS, 4):
             nominal, _ = mp_bounds(case, n)
             for i, value in enumerate(mp_hit(nominal)):
                 assert mpmath.mpf(boxes.low[n, i]) <= value <= mpmath.mpf(boxes.high[n, i])
+
+
+def test_rounding_is_covered_where_bounds_are_longer_than_beams() -> None:
+    """Where only lengths err, and by far more than the beams are long, nothing hides what float32 loses: all inside."""
+    case = a_case(0.0, 0.0, far=1.0, most_range=0.3)
+    tiny = {"mount_angle_bound_deg": 0.0, "angle_bound_deg": 0.0}
+    case.laser = a_laser(range_bound_m=40.0, mount_position_bound_m=70.0, **tiny)
+    boxes = case.boxes()
+    with mpmath.workdps(60):
+        for n in range(0, BEAMS, 2):
+            low, high = mp_bounds(case, n)
+            rows = [mp_hit([low[k] if k != j else high[k] for k in range(15)]) for j in range(15)]
+            base = mp_hit(low)
+            for i in range(3):
+                # The point is linear in all that errs: the farthest corner has each at its own better end.
+                rises = [rows[k][i] - base[i] for k in (6, 7, 8, 13)]
+                least = base[i] + sum(min(rise, mpmath.mpf(0)) for rise in rises)
+                most = base[i] + sum(max(rise, mpmath.mpf(0)) for rise in rises)
+                assert mpmath.mpf(boxes.low[n, i]) <= least
+                assert most <= mpmath.mpf(boxes.high[n, i])
 
 
 def test_height_does_not_depend_on_yaw() -> None:
