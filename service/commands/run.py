@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from service.onboard import Onboard
 
 TICK_S = 0.5
+SWITCH_S = 0.001
+"""A thread that wants the interpreter waits so long for another that is busy; 5 ms would be half of what a tile may take."""
 
 
 def run(*, config: Path) -> int:
@@ -68,6 +70,7 @@ def _onboard(loaded: LoadedConfig, readers: Readers, ahead: SessionAhead) -> "On
         readers.read_punctually()
         from service.onboard import Onboard
 
+        sys.setswitchinterval(SWITCH_S)
         onboard = Onboard(loaded, readers.clock, readers=readers, ahead=ahead)
         onboard.start()
     except BaseException:

@@ -11,6 +11,7 @@ import pytest
 import zenoh
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from drivers.errors import LinkError
 from estimator.bounded_pose import INTACT, Anchor, BoundedPose, Guarantee
@@ -290,11 +291,11 @@ def test_an_address_in_use_is_named_with_what_to_do() -> None:
 
 @pytest.mark.parametrize("address", ["7447", "tcp/127.0.0.1:99999999"])
 def test_an_address_that_is_none_is_refused_by_name(address: str) -> None:
-    """A garbled address never becomes a session that nobody can reach."""
-    publisher = Publisher(PublishConfig(listen=[address]), "rover")
-    with pytest.raises(LinkError, match=address):
-        publisher.start()
-    publisher.close()
+    """A garbled address never becomes a session that nobody can reach: neither configured nor opened."""
+    with pytest.raises(ValidationError, match="address with a port up to 65535"):
+        PublishConfig(listen=[address])
+    with pytest.raises(LinkError, match=address), open_session("peer", [address]):
+        pass
 
 
 def test_an_address_that_this_host_does_not_have_yet_does_not_stop_mapping() -> None:
