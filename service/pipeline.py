@@ -54,6 +54,8 @@ class Pipeline:
         """No beam in the map is newer; its host time."""
         self._window = ReorderingWindow(round(config.filter.reordering_window_ms * 1e6), DEVICES)
         self._waiting: deque[WaitingScan] = deque()
+        self._foreseen: tuple[int, int] | None = None
+        """The end of the oldest scan, and when its poses should be there."""
         self._on_pose = on_pose
 
     @property
@@ -74,8 +76,12 @@ class Pipeline:
         end_ns = self._waiting[0].end_ns if self._waiting else self._window.oldest_ns(SCANNER)
         if end_ns is None:
             return None
-        released_ns = [self._window.released_at_ns(device, end_ns) for device in MOTION]
-        return None if None in released_ns else max(time for time in released_ns if time is not None)
+        if self._foreseen is None or self._foreseen[0] != end_ns:
+            released_ns = [self._window.released_at_ns(device, end_ns) for device in MOTION]
+            if None in released_ns:
+                return None
+            self._foreseen = end_ns, max(time for time in released_ns if time is not None)
+        return self._foreseen[1]
 
     def step(self, arrival: Arrival) -> None:
         """Take one arrival; filter and map whatever it releases."""

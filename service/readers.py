@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from drivers.clock import Clock
 from drivers.errors import CaptureError
@@ -33,6 +33,14 @@ GATHER_S = 0.004
 """In real time what has come is parsed this often."""
 LONGEST_WAIT_S = 0.05
 """The thread looks up at least this often."""
+
+
+class Awaited(NamedTuple):
+    """What is waited for: something that one of these devices gave."""
+
+    devices: Collection[str]
+    since_ns: int
+    """... and that was read no earlier (system monotonic)."""
 
 
 class Readers:
@@ -124,17 +132,17 @@ class Readers:
         if self._thread.is_alive():
             self._thread.join()
 
-    def take(self, timeout_s: float, rest_s: float = 0.0, then: Collection[str] = ()) -> list[Arrival]:
+    def take(self, timeout_s: float, rest_s: float = 0.0, awaited: Awaited | None = None) -> list[Arrival]:
         """What the sensors have given since the last call, parsed now. One after `stop` gives all that is left.
 
-        It is waited for `rest_s` in any case, and then, for at most `timeout_s`, until anything is there, or if `then`
-        names devices, until one of them gives something more. No protocol's deadline is missed.
+        It is waited for `rest_s` in any case, and then, for at most `timeout_s`, until something is there: what is
+        `awaited`, if anything is named. No protocol's deadline is missed.
         """
         if self._stopped:
             while self._parse(self._pipe.take(0)):
                 pass
         else:
-            self._parse(self._gathered(min(rest_s + timeout_s, self._patience_s()), rest_s, then))
+            self._parse(self._gathered(min(rest_s + timeout_s, self._patience_s()), rest_s, awaited))
         return self.queue.take(0)
 
     def stop(self) -> None:
@@ -166,24 +174,28 @@ class Readers:
         """The thread: whatever ends it early is kept for whoever watches over the service."""
         try:
             while not (self._stopped or self._left_to_taker.is_set()):
-                self._parse(self._gathered(self._patience_s(), self._gather_s, ()))
+                self._parse(self._gathered(self._patience_s(), self._gather_s))
             while self._stopped and self._parse(self._pipe.take(0)):  # closed ports' last records
                 pass
         except BaseException as error:
             self._failure = error
 
-    def _gathered(self, patience_s: float, rest_s: float, then: Collection[str]) -> list[Record]:
+    def _gathered(self, patience_s: float, rest_s: float, awaited: Awaited | None = None) -> list[Record]:
         """What ports gave; see `take`."""
         until_s = time.monotonic() + patience_s
         if rest_s > 0:
             time.sleep(min(rest_s, patience_s))
-        records = self._pipe.take(0)
-        awaited = bool(records) and not then
-        while not awaited and (left_s := until_s - time.monotonic()) > 0:
+        records = more = self._pipe.take(0)
+        while not any(awaited is None or self._is(record, awaited) for record in more):
+            left_s = until_s - time.monotonic()
+            if left_s <= 0:
+                break
             more = self._pipe.take(left_s)
             records += more
-            awaited = any(not then or self._names[record.port] in then for record in more)
         return records
+
+    def _is(self, record: Record, awaited: Awaited) -> bool:
+        return record.read_ns >= awaited.since_ns and self._names[record.port] in awaited.devices
 
     def _parse(self, records: list[Record]) -> bool:
         """Make samples of what ports gave, and let deadlines pass; was there anything?"""

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 TICK_S = 0.5
 SWITCH_S = 0.001
-"""A thread that wants the interpreter waits so long for another that is busy; 5 ms would be half of what a tile may take."""
+"""So long a thread that wants the interpreter waits for one that is busy; 5 ms would be half of a tile's time."""
 
 
 def run(*, config: Path) -> int:
