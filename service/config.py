@@ -98,10 +98,11 @@ class LoadedConfig:
             return self.dbc
         path = self.path(self.config.devices.encoders.dbc)
         try:
-            return path.read_text(encoding="cp1252")
-        except OSError as error:
+            # Comments in other encodings are nobody's business here; names are ASCII.
+            return path.read_text(encoding="cp1252", errors="replace")
+        except (OSError, ValueError) as error:  # ValueError: no name of a file
             raise ConfigurationError(
-                f"devices.encoders.dbc: {path}: cannot be read ({error.strerror}); "
+                f"devices.encoders.dbc: {path}: cannot be read ({getattr(error, 'strerror', None) or error}); "
                 "name the DBC file of the track encoders"
             ) from None
 
@@ -124,12 +125,14 @@ def load(path: Path) -> LoadedConfig:
 def parse(text: str, folder: Path, source: str, dbc: str | None = None) -> LoadedConfig:
     """Check a configuration's text. Raises ConfigurationError that names every wrong key."""
     try:
-        tree = tomllib.loads(text)
+        # Through JSON, strictly: a list may stand for a pair, but text never for a number.
+        tree = json.dumps(tomllib.loads(text), default=str)
     except tomllib.TOMLDecodeError as error:
         raise ConfigurationError(f"{source}: not valid TOML: {error}") from None
+    except RecursionError:
+        raise ConfigurationError(f"{source}: tables or lists in it stand in each other too deeply") from None
     try:
-        # Through JSON, strictly: a list may stand for a pair, but text never for a number.
-        config = TypeAdapter(Config).validate_json(json.dumps(tree, default=str), strict=True)
+        config = TypeAdapter(Config).validate_json(tree, strict=True)
     except ValidationError as error:
         lines = "\n".join(f"  {_explain(entry)}" for entry in error.errors(include_url=False))
         count = error.error_count()

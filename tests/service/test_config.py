@@ -127,3 +127,18 @@ def test_a_file_from_notepad_is_read(tmp_path: Path) -> None:
 def test_a_long_wrong_value_is_not_repeated_whole() -> None:
     """[[devices.gps]] for [devices.gps]: the line stays a line."""
     assert max(map(len, complaint(DEMO.replace("[devices.gps]", "[[devices.gps]]")).splitlines())) < 140
+
+
+@pytest.mark.parametrize("text", ["a = " + 5000 * "[" + 5000 * "]", ".".join(3000 * ["a"]) + " = 1"])
+def test_what_stands_in_itself_too_deeply_is_refused(text: str) -> None:
+    """A file of another program, or of nobody: one line."""
+    assert "too deeply" in complaint(text)
+
+
+def test_a_dbc_file_of_any_encoding_is_read(tmp_path: Path) -> None:
+    """Comments in UTF-8, or in nothing at all, are left alone; a name that is none is told with its key."""
+    dbc = shipped_config("tracks.dbc").read_bytes() + 'CM_ "Ábra";\n'.encode() + b'CM_ "\x81\x8d";\n'
+    (tmp_path / "tracks.dbc").write_bytes(dbc)
+    assert "SG_ LEFT" in parse(DEMO, tmp_path, "robot.toml").dbc_text()
+    with pytest.raises(ConfigurationError, match=r"devices\.encoders\.dbc: .*cannot be read"):
+        parse(DEMO.replace('"tracks.dbc"', '"tracks\\u0000.dbc"'), tmp_path, "robot.toml").dbc_text()
