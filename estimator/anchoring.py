@@ -76,8 +76,8 @@ class Anchoring:
         if self._plane is None:
             self._plane = TangentPlane(fix.lat_deg, fix.lon_deg, fix.alt_m)
         antenna = self._plane.antenna(fix)
+        # from base_link now to the antenna then: along the newest heading, and along the map's axes
         offset, in_map = np.empty((3, 2)), np.empty((3, 2))
-        """From base_link now to the antenna then: along the newest heading, and along the map's axes."""
         antenna_offsets(
             self._arm, i, j, n, places.net, places.swing, places.heading, places.local, a, b, turns.newest, turns.box,
             turns.swing, turns.heading, self._attitude.bias_since(a), offset, in_map,

@@ -62,9 +62,11 @@ class Filter:
         """Take one sample. One that comes out of order, or can't be used, is dropped and counted."""
         self._now_ns = max(self._now_ns, sample.stamp.mid_ns)
         self._since_newer.append(sample)
+        contradicted: list[PoseSet] = []
         for poses in self._hypotheses:
             poses.accept(sample)
-        contradicted = [poses for poses in self._hypotheses if poses.journal.contradiction is not None]
+            if poses.journal.contradiction is not None:
+                contradicted.append(poses)
         if contradicted:
             self._explain(contradicted)
         elif self._until_ns is not None and self._now_ns >= self._until_ns:

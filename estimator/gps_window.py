@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from estimator.fan import add_box, less
 from estimator.frames import turned
 from estimator.interval import add, is_empty, meet
-from estimator.odometry_block import BLOCK, Blocks, extend_two_blocks
+from estimator.odometry_block import BLOCK, Blocks, empty_block, extend_two_blocks, put_fix
 from estimator.paving import contract_by_window
 from estimator.place_polygon import SIDES, cut_anew, cut_polygon, moved_polygon
 from estimator.slip_ledger import Mark, SlipLedger
@@ -79,21 +79,9 @@ class GpsWindow:
         k = self.count
         if k:
             self._settle(k - 1, self._since[0])
-        self._put(k, antenna, offset, heading, seconds[0])
+        put_fix(self._blocks, k, antenna, offset, heading, seconds[0])
         left = contract_by_window(k, self._blocks, seconds[1], quantum, self._drift, bias, yaw, place)
         return left and self._in_polygon(quantum, seconds[1], bias, yaw, place)
-
-    def _put(
-        self,
-        k: int,
-        antenna: NDArray[np.float64],
-        offset: NDArray[np.float64],
-        heading: NDArray[np.float64],
-        seconds: float,
-    ) -> None:
-        """A fix, in row k."""
-        of = self._blocks
-        of["antenna"][k], of["offset"][k], of["heading"][k], of["seconds"][k] = antenna, offset, heading, seconds
 
     def _in_polygon(
         self,
@@ -173,9 +161,5 @@ class GpsWindow:
 
     def _empty(self, k: int, bias: NDArray[np.float64], slack: float) -> Mark | None:
         """A block without a step yet; it begins at the newest count."""
-        of = self._blocks
-        of["way"][k] = of["by_bias"][k] = of["path"][k] = of["raw"][k] = 0.0
-        of["least"][k], of["last"][k] = np.inf, np.nan
-        add_box(of["raw"][k], slack, slack)
-        of["reference"][k] = 0.5 * (bias[0] + bias[1])
+        empty_block(self._blocks, k, bias, slack)
         return self._ledger.mark() if self._ledger else None

@@ -42,6 +42,31 @@ Blocks: TypeAlias = NDArray[np.void]
 
 
 @compiled
+def put_fix(
+    blocks: Blocks,
+    k: int,
+    antenna: NDArray[np.float64],
+    offset: NDArray[np.float64],
+    heading: NDArray[np.float64],
+    seconds: float,
+) -> None:
+    """What block k says of the fix."""
+    fix = blocks[k]
+    fix.antenna[:], fix.offset[:], fix.heading[:] = antenna, offset, heading
+    fix.seconds = seconds
+
+
+@compiled
+def empty_block(blocks: Blocks, k: int, bias: NDArray[np.float64], slack: float) -> None:
+    """Block k without a step yet; it begins at a count, around which the turning centre may have moved by `slack`."""
+    block = blocks[k]
+    block.way[:], block.by_bias[:], block.path = 0.0, 0.0, 0.0
+    block.raw[:], block.least[:], block.last[:] = 0.0, np.inf, np.nan
+    add_box(block.raw, slack, slack)
+    block.reference = 0.5 * (bias[0] + bias[1])
+
+
+@compiled
 def extend_block(
     block: Any,
     step: NDArray[np.float64],

@@ -15,7 +15,7 @@ from drivers.compiled import compiled
 from estimator.chaining import Chain, chain
 from estimator.gps_window import GpsWindow
 from estimator.interval import add, down, mid, reach, sub, up, widen
-from estimator.odometry_block import Blocks
+from estimator.odometry_block import Blocks, put_fix
 from estimator.paving import place_by
 
 CELLS = 16
@@ -60,7 +60,7 @@ class RelaxedWindow(GpsWindow):
     ) -> bool:
         """As GpsWindow's, with antenna, offset and place [3, 2]; False where more than `wrong` must be wrong."""
         k = self.count
-        self._put(k, antenna[:2], offset[:2], heading, seconds[0])
+        put_fix(self._blocks, k, antenna[:2], offset[:2], heading, seconds[0])
         self._heights[k] = sub((antenna[2, 0], antenna[2, 1]), (offset[2, 0], offset[2, 1]))
         if not self._level(place[2], quantum):
             return False
