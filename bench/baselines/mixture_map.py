@@ -113,6 +113,7 @@ def mix_block(
     given: Singles,
     rows: Singles,
     shares: Singles,
+    tiles: Indices,
     numbers: NDArray[np.int64],
     table: Indices,
     keys: NDArray[np.uint64],
@@ -164,7 +165,7 @@ def mix_block(
                 i_last = min(i1, i | _IN_TILE, i + CELLS_A_STEP - 1)
                 key = tile_key(i >> TILE_SHIFT, j >> TILE_SHIFT)
                 if last_tile < 0 or key != last_key:
-                    tile = kernel.tile_at(key, numbers, table, keys)
+                    tile = kernel.neighbour_at(i >> TILE_SHIFT, j >> TILE_SHIFT, tiles, numbers, table, keys)
                     if tile < 0:
                         fate, i = kernel.BEYOND_CAP, i_last + 1
                         continue
@@ -183,7 +184,7 @@ def mix_block(
 
 
 A_SETTINGS, A_GEOMETRY, A_POSES, A_NARROW, A_WORK, A_POINTS, A_SPREADS, A_GIVEN, A_ROWS, A_SHARES = range(10)
-A_NUMBERS, A_TABLE, A_KEYS, A_POOL = range(10, 14)
+A_TILES, A_NUMBERS, A_TABLE, A_KEYS, A_POOL = range(10, 15)
 
 
 @compiled_without_heap
@@ -195,7 +196,7 @@ def mix_beams(ranges: Floats, means: Floats, covariances: Floats, order: Bound, 
     poses, narrow = floats(arrays, A_POSES).reshape(-1, Q_SIZE), singles(arrays, A_NARROW).reshape(-1, Q_SIZE)
     work, points = floats(arrays, A_WORK).reshape(W_GAUSS, 6), floats(arrays, A_POINTS)
     spreads, given = singles(arrays, A_SPREADS), singles(arrays, A_GIVEN)
-    rows, shares = singles(arrays, A_ROWS), singles(arrays, A_SHARES)
+    rows, shares, tiles = singles(arrays, A_ROWS), singles(arrays, A_SHARES), integers(arrays, A_TILES)
     numbers, table, keys = counts(arrays, A_NUMBERS), integers(arrays, A_TABLE), words(arrays, A_KEYS)
     pool, ordered = singles(arrays, A_POOL).reshape(keys.size, 3, TILE_CELLS), beams[2]
     put_in_order(ranges, integers(order, BY_ORDER), ordered)
@@ -211,7 +212,8 @@ def mix_beams(ranges: Floats, means: Floats, covariances: Floats, order: Bound, 
             condition_block(count, spreads, F32(1.0 / resolution_m), F32(independent), given)
             # fmt: off
             mix_block(
-                count, n, ordered, geometry, resolution_m, points, given, rows, shares, numbers, table, keys, pool,
+                count, n, ordered, geometry, resolution_m, points, given, rows, shares,
+                tiles, numbers, table, keys, pool,
             )
             # fmt: on
         n += count
@@ -239,11 +241,12 @@ class MixtureMap:
         self._work, self._points = np.empty((W_GAUSS, 6)), np.zeros(N_SIZE)
         self._spreads, self._given = np.zeros(N_SPREADS, F32), np.zeros(V_SIZE, F32)
         self._rows, self._shares = np.zeros(2 * _BORDERS, F32), np.zeros(_BORDERS + LANES, F32)
+        self._tiles = np.full(kernel.S_SIZE, kernel.NO_TILE, np.int32)
         layers, self._settings = self.layers, np.array([bound_sigmas, resolution_m, independent])
         self._bound = bind(
             *(self._settings, self._geometry, self._poses, self._narrow, self._work),
             *(self._points, self._spreads, self._given, self._rows, self._shares),
-            *(layers.numbers, layers.table, layers.keys, layers.pool),
+            *(self._tiles, layers.numbers, layers.table, layers.keys, layers.pool),
         )
 
     def insert(self, scan: Scan, mean: Floats, covariance: Floats, pose_index: Indices) -> None:
