@@ -1,6 +1,6 @@
 """Broken sensors, on the emulated robot's declared bounds: who is named, how soon, and does the set hold meanwhile?
 
-    python -m bench.pose_faults [--seconds S] [--seeds N] [--page]
+    python -m bench.pose_faults [SECTION...] [--seconds S] [--seeds N] [--page]
 
 The robot of `terrabound demo` (RTK fixes of 5 cm at 10 Hz, 50 Hz inertial packets and counts, tilt at 10 Hz) over open
 ground. The fault begins while it drives, and lasts; all else stays within its bounds.
@@ -10,6 +10,7 @@ import argparse
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -224,7 +225,9 @@ def relaxed_table(seeds: int, seconds: float) -> Iterator[str]:
             )
 
 
-PAGE_TEXT = """The robot of `terrabound demo` (slip 2 %, gyroscope bias 0.3 and noise 0.05 deg/s, tilt 0.3 degrees) with
+PAGE_TEXT = """`python -m bench.pose_faults SECTION --page` makes one section anew; the others stay as they were.
+
+The robot of `terrabound demo` (slip 2 %, gyroscope bias 0.3 and noise 0.05 deg/s, tilt 0.3 degrees) with
 RTK fixes of 5 cm at 10 Hz, over open ground; every other error uniform, constant at its bound, or switching between its
 ends. A fault begins while the robot drives (one gyroscope's: while it turns) and lasts 5 s where nothing else is said.
 
@@ -237,42 +240,70 @@ ends. A fault begins while the robot drives (one gyroscope's: while it turns) an
   `restored_ns` of the last word still promise** ([faults.md](../docs/faults.md)). This must be 0.
 - `good again`: drives that ended NOMINAL again, and how long after the fault's end (`fault_length_s` is 10 s after the
   contradiction; a fault that outlasts it is told again). A drive goes on for 15 s after its fault.
-
 """
-RELAXED_TEXT = """
-## Fixes that are wrong now and then
-
-`[filter] wrong_fixes` of `wrong_fixes_of` fixes in succession may be anywhere: 8 % of all are, by 1.5 to 30 times their
-bound, never more at a time than declared. Mean half-widths on Earth in the second half of each drive. `0`: all fixes
-keep their bound, and are trusted.
-
+RELAXED_TEXT = """`[filter] wrong_fixes` of `wrong_fixes_of` fixes in succession may be anywhere: 8 % of all are, by 1.5
+to 30 times their bound, never more at a time than declared. Mean half-widths on Earth in the second half of each drive.
+`0`: all fixes keep their bound, and are trusted.
 """
+TITLES = {
+    "box": "Boxes and window (the default)",
+    "late": "Those that show late, drive by drive",
+    "ellipsoid": '`set = "ellipsoid"`',
+    "relaxed": "Fixes that are wrong now and then",
+}
+"""The page's sections."""
+
+
+def section(name: str, seeds: int, seconds: float) -> Iterator[str]:
+    """Its lines below the title."""
+    if name == "late":
+        from bench.pose_faults_by_drive import section as late  # it needs scipy, which the others do without
+
+        yield from late()
+        return
+    if name == "relaxed":
+        yield from RELAXED_TEXT.splitlines()
+        yield ""
+    yield f"{datetime.now(UTC):%Y-%m-%d}, {len(LAWS) * seeds} drives a row."
+    yield ""
+    yield from relaxed_table(seeds, seconds) if name == "relaxed" else table(SETS[name], seeds, seconds)
+
+
+SETS: dict[str, SetName] = {"box": "box", "ellipsoid": "ellipsoid"}
+
+
+def kept_sections() -> dict[str, str]:
+    """What the page says now, by title."""
+    if not PAGE.exists():
+        return {}
+    parts = PAGE.read_text(encoding="utf-8").split("\n## ")[1:]
+    return {part.partition("\n")[0]: part.partition("\n")[2].strip() for part in parts}
 
 
 def main() -> None:
-    """The tables, as asked for."""
+    """The sections asked for, or all; on the page the others stay as they were."""
     parser = argparse.ArgumentParser(prog="python -m bench.pose_faults", description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("sections", nargs="*", metavar="SECTION", help=f"of {', '.join(TITLES)}; all if none is named")
     parser.add_argument("--seconds", type=float, default=60.0, help="at most; a drive ends when its fault is over")
-    parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--only", choices=["box", "ellipsoid", "relaxed"], help="print one table")
+    parser.add_argument("--seeds", type=int, default=3, help="drives for each law of errors")
     parser.add_argument("--page", action="store_true", help="rewrite bench/POSE_FAULTS.md")
     options = parser.parse_args()
-    drives = f"{len(LAWS) * options.seeds} drives a row."
-    text = PAGE_TEXT + drives + "\n"
-    for name, title, rows in (
-        ("box", "\n## Boxes and window (the default)\n\n", table("box", options.seeds, options.seconds)),
-        ("ellipsoid", '\n## `set = "ellipsoid"`\n\n', table("ellipsoid", options.seeds, options.seconds)),
-        ("relaxed", RELAXED_TEXT, relaxed_table(options.seeds, options.seconds)),
-    ):
-        if options.only not in (None, name):
-            continue
-        text += title
-        print(title, flush=True)
-        for line in rows:
-            text += line + "\n"
+    if wrong := set(options.sections) - set(TITLES):
+        parser.error(f"no such section: {', '.join(sorted(wrong))}; there are {', '.join(TITLES)}")
+    made: dict[str, str] = {}
+    for name in options.sections or TITLES:
+        print(f"\n## {TITLES[name]}\n", flush=True)
+        lines = []
+        for line in section(name, options.seeds, options.seconds):
+            lines.append(line)
             print(line, flush=True)
+        made[TITLES[name]] = "\n".join(lines)
     if options.page:
-        PAGE.write_text(heading("Broken sensors", "python -m bench.pose_faults --page") + text, encoding="utf-8")
+        text = heading("Broken sensors", "python -m bench.pose_faults --page") + PAGE_TEXT
+        sections = kept_sections() | made
+        for title in TITLES.values():
+            text += f"\n## {title}\n\n{sections[title]}\n" if title in sections else ""
+        PAGE.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -5,11 +5,11 @@ example: a *witness* is a motion of the robot, beside the true one, that keeps e
 reading that the filter was given lies within its declared error. A method that called a bound broken would be wrong if
 the witness were the truth, and nothing it was given tells the two apart.
 
-The witness keeps the true roll and pitch, and deviates from the truth in its speed along, across and normal to the
-tracks, and in its yaw rate: piecewise linear in time, with a knot in the middle between any two readings; and in its
-gyroscope's biases, its place at the beginning and what its tracks ran. `witness_search.py` looks for one; how it was
-found proves nothing. `usage` then holds it against every reading, by the nonlinear equations at a thousand instants a
-second, and that is the proof. Millimetres and milliradians inside.
+The witness deviates from the truth in its speed along, across and normal to the tracks, and in the rates of roll, pitch
+and yaw: piecewise linear in time, with a knot in the middle between any two readings; and in its gyroscope's biases,
+its pose at the beginning and what its tracks ran. `witness_search.py` looks for one; how it was found proves nothing.
+`usage` then holds it against every reading, by the nonlinear equations at a thousand instants a second, and that is
+the proof. Millimetres and milliradians inside.
 """
 
 from collections.abc import Callable
@@ -33,8 +33,8 @@ Array = NDArray[np.float64]
 ROWS = RATES.step_ns // STEP_NS
 """Of the truth's table in a step."""
 STEP_S = RATES.step_ns * 1e-9
-AHEAD, ACROSS, NORMAL, TURN = range(4)
-"""Columns of a witness's deviations: mm/s, mm/s, mm/s, mrad/s."""
+SPEEDS, ANGLES = slice(0, 3), slice(3, 6)
+"""Columns of a witness's deviations: along, across, normal in mm/s; roll, pitch, yaw in mrad/s."""
 NEAR_REST_MPS = 0.02
 """A track slower than this may be about to turn round: there the witness moves as the truth."""
 
@@ -47,6 +47,8 @@ class Readings:
     """[n, 3] rad/s"""
     force: Array
     """[n, 2] m/s^2"""
+    tilt: Array
+    """[n, 2] rad, NaN where there is none"""
     ticks: Array
     """[n, 2]"""
     fixes: dict[int, Array]
@@ -55,7 +57,7 @@ class Readings:
 
 def readings_of(world: World, fault: Fault) -> Readings:
     """Of the whole drive, broken ones included."""
-    gyro, force, ticks, fixes = [], [], [], {}
+    gyro, force, tilt, ticks, fixes = [], [], [], [], {}
     for k, (now_ns, readings) in enumerate(sample_stream(world, RTK, RATES)):
         t_s = (now_ns - world.start_ns) * 1e-9
         for plain in readings:
@@ -63,12 +65,13 @@ def readings_of(world: World, fault: Fault) -> Readings:
             if isinstance(reading, InertialSample):
                 gyro.append(reading.gyro_rps)
                 force.append(reading.accel_mps2[:2])
+                tilt.append(reading.tilt_rad)
             elif isinstance(reading, WheelTicks):
                 ticks.append((reading.left, reading.right))
             elif isinstance(reading, Fix):
                 place = reading.lat_deg, reading.lon_deg, reading.alt_m
                 fixes[k] = np.array(pymap3d.geodetic2enu(*place, *world.origin))
-    return Readings(np.array(gyro), np.array(force), np.array(ticks, dtype=float), fixes)
+    return Readings(np.array(gyro), np.array(force), np.array(tilt), np.array(ticks, dtype=float), fixes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,9 +79,9 @@ class Witness:
     """Deviations from the truth, from the beginning of the drive to step n."""
 
     knots: Array
-    """[n + 2, 4] at (j - 1/2) steps."""
+    """[n + 2, 6] at (j - 1/2) steps."""
     start: Array
-    """[3] mm, and the yaw then in mrad."""
+    """[6] mm, mrad"""
     bias: Array
     """[3] of the gyroscope, mrad/s."""
     tracks: Array
@@ -102,9 +105,8 @@ class Truth:
         self.force, self.acceleration = drive.specific_force[rows], np.gradient(drive.speed, 1e-3)[rows]
         self.own = self.force - GRAVITY_MPS2 * self.rotation[:, 2]
         self.lever = np.array([devices.gps.antenna_x_m, devices.gps.antenna_y_m, devices.gps.antenna_z_m])
-        pitch, roll = self.pose[:, 4], self.pose[:, 3]
-        self.axis = np.column_stack([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)])
-        """[rows, 3] body rates per unit of yaw rate."""
+        self.turning = euler_rates(self.pose[:, 3:], self.rate)
+        """[rows, 3] rates of roll, pitch and yaw."""
         half = 0.5 * robot.track_gauge_m * drive.rate[rows, 2]
         self.track_speed = np.column_stack([drive.speed[rows] - half, drive.speed[rows] + half])
         self.ground, self.run = (
@@ -120,6 +122,9 @@ class Truth:
         rest: NDArray[np.bool_] = np.asarray(~self.way.all(axis=1))
         self.rest = rest
         first = round(fault.begin_s / STEP_S)
+        moves = np.abs(self.ground) > 1e-6
+        self.ran = np.where(moves, self.run / np.where(moves, self.ground, 1.0), 1.0)
+        """[n, 2] of a track's way over the ground in a step."""
         self.free = not rest[first:].any()
         """Does the robot drive on from the fault's beginning to step n?"""
         held = np.zeros(n + 2, dtype=bool)
@@ -155,24 +160,50 @@ class Motion:
 
     speed: Array
     """[rows, 3] m/s"""
+    angles: Array
+    """[rows, 3] roll, pitch, yaw;"""
     turning: Array
-    """[rows] rad/s beside the true yaw rate;"""
-    yaw: Array
-    """[rows] rad beside the true yaw;"""
+    """[rows, 3] ... their rates;"""
+    rate: Array
+    """[rows, 3] ... and the body's."""
     rotation: Array
     place: Array
     """[rows, 3] m beside the true place."""
 
 
 def motion_of(truth: Truth, witness: Witness) -> Motion:
-    """The nonlinear equations: yaw from the yaw rate, place from speeds and yaw."""
+    """The nonlinear equations: angles from their rates, place from speeds and angles."""
     off = 1e-3 * (truth.between @ witness.knots)
-    yaw = 1e-3 * witness.start[3] + _summed(off[:, TURN])
-    turned = truth.pose.copy()
-    turned[:, 5] += yaw
-    rotation, speed = rotations(turned), truth.speed + off[:, :3]
+    pose = truth.pose.copy()
+    pose[:, 3:] += 1e-3 * witness.start[3:] + _summed(off[:, ANGLES])
+    turning, rotation, speed = truth.turning + off[:, ANGLES], rotations(pose), truth.speed + off[:, SPEEDS]
     velocity = np.einsum("nij,nj->ni", rotation, speed) - np.einsum("nij,nj->ni", truth.rotation, truth.speed)
-    return Motion(speed, off[:, TURN], yaw, rotation, 1e-3 * witness.start[:3] + _summed(velocity))
+    place = 1e-3 * witness.start[:3] + _summed(velocity)
+    return Motion(speed, pose[:, 3:], turning, body_rates(pose[:, 3:], turning), rotation, place)
+
+
+def euler_rates(angles: Array, rate: Array) -> Array:
+    """[n, 3] rates of roll, pitch and yaw from body rates (SMF equation 1)."""
+    roll, pitch = angles[:, 0], angles[:, 1]
+    sideways = np.sin(roll) * rate[:, 1] + np.cos(roll) * rate[:, 2]
+    tilting = np.cos(roll) * rate[:, 1] - np.sin(roll) * rate[:, 2]
+    return np.column_stack([rate[:, 0] + np.tan(pitch) * sideways, tilting, sideways / np.cos(pitch)])
+
+
+def body_rates(angles: Array, turning: Array) -> Array:
+    """[n, 3] the other way round."""
+    return np.asarray(np.einsum("nij,nj->ni", by_turning(angles), turning))
+
+
+def by_turning(angles: Array) -> Array:
+    """[n, 3, 3] body rates per rate of roll, pitch and yaw."""
+    sr, cr, sp, cp = *_sine_cosine(angles[:, 0]), *_sine_cosine(angles[:, 1])
+    one, zero = np.ones_like(sr), np.zeros_like(sr)
+    return np.moveaxis(np.array([[one, zero, -sp], [zero, cr, sr * cp], [zero, -sr, cr * cp]]), 2, 0)
+
+
+def _sine_cosine(angle: Array) -> tuple[Array, Array]:
+    return np.sin(angle), np.cos(angle)
 
 
 def _summed(values: Array) -> Array:
@@ -187,11 +218,11 @@ def usage(truth: Truth, witness: Witness) -> dict[str, float]:
     robot, imu, encoders = truth.robot, truth.devices.imu, truth.devices.encoders
     motion, readings, n = motion_of(truth, witness), truth.readings, truth.n
     nodes = slice(None, None, ROWS)
-    rate = truth.rate + truth.axis * motion.turning[:, np.newaxis]
+    rate = motion.rate
     used: dict[str, float] = {}
 
     def uses(what: str, size: Array, bound: Array | float) -> None:
-        used[what] = max(used.get(what, 0.0), float(np.max(np.abs(size) / bound)))
+        used[what] = max(used.get(what, 0.0), float(np.nanmax(np.abs(size) / bound)))
 
     mean = np.diff(truth.turned[nodes], axis=0) + truth.over @ (rate - truth.rate)
     mean = np.vstack([np.zeros(3), mean / STEP_S])
@@ -199,12 +230,15 @@ def usage(truth: Truth, witness: Witness) -> dict[str, float]:
     noise = radians(imu.gyro_noise_bound_dps) + imu.gyro_scale_bound * np.abs(mean)
     uses("gyroscope", readings.gyro[: n + 1] - mean - bias, noise)
     uses("its bias", bias, radians(imu.gyro_bias_bound_dps))
-    slope = 1e-3 * np.diff(witness.knots[:, :3], axis=0) / STEP_S
+    uses("tilt", readings.tilt[: n + 1] - motion.angles[nodes, :2], radians(imu.tilt_bound_deg))
+    slope = 1e-3 * np.diff(witness.knots[:, SPEEDS], axis=0) / STEP_S
     swirl = np.cross(rate, motion.speed)[nodes] - np.cross(truth.rate, truth.speed)[nodes]
-    force = slope + swirl
+    own = truth.own[nodes, :2] + (slope + swirl)[:, :2]
+    felt = readings.force[: n + 1] - GRAVITY_MPS2 * motion.rotation[nodes, 2, :2]
     if truth.felt:
-        uses("accelerometers", readings.force[: n + 1] - truth.force[nodes, :2] - force[:, :2], imu.accel_bound_mps2)
-    uses("own acceleration", truth.own[nodes, :2] + force[:, :2], robot.max_acceleration_mps2)
+        uses("accelerometers", felt - own, imu.accel_bound_mps2)
+    uses("accelerometers as tilt sensors", felt, imu.accel_bound_mps2 + robot.max_acceleration_mps2)
+    uses("own acceleration", own, robot.max_acceleration_mps2)
     uses("acceleration", truth.acceleration[nodes] + slope[:, 0], robot.max_acceleration_mps2)
     uses("turn acceleration", np.gradient(rate, 1e-3, axis=0), radians(robot.max_turn_acceleration_dps2))
     uses("turn rate", rate, radians(robot.max_turn_rate_dps))
@@ -227,11 +261,14 @@ def usage(truth: Truth, witness: Witness) -> dict[str, float]:
 def _use_tracks(
     truth: Truth, witness: Witness, motion: Motion, uses: Callable[[str, Array, Array | float], None]
 ) -> None:
-    """Slip of each track: within a step, which none turns round in, what it runs and its ground go on in proportion."""
+    """Slip of each track: within a step, which none turns round in, what it runs and its ground go on in proportion.
+
+    Near rest that proportion is the true one.
+    """
     run = np.diff(witness.tracks, axis=0)
     for side, sign in enumerate((-1.0, 1.0)):
         half = sign * 0.5 * truth.robot.track_gauge_m
-        speed = motion.speed[:, 0] - truth.speed[:, 0] + half * truth.axis[:, 2] * motion.turning
+        speed = motion.speed[:, 0] - truth.speed[:, 0] + half * (motion.rate - truth.rate)[:, 2]
         ground = truth.ground[:, side] + 1e3 * (truth.over @ speed)
         drives = ~truth.rest
         uses("slip", (ground - run[:, side])[drives], truth.robot.slip_ratio * np.abs(run[drives, side]))
@@ -244,5 +281,5 @@ def _use_tracks(
         )
         turns_round = (steps[:, 0] <= 0.0) & (steps[:, 1] >= 0.0) & drives
         uses("turning round", turns_round.astype(float), 0.5)
-        uses("moves at rest", 1e3 * (ground - truth.ground[:, side])[truth.rest], 1e-6)
-        uses("runs at rest", 1e3 * (run - truth.run)[truth.rest, side], 1e-6)
+        as_the_truth = truth.run[:, side] + truth.ran[:, side] * (ground - truth.ground[:, side])
+        uses("slip at rest", (run[:, side] - as_the_truth)[truth.rest], 1e-9)

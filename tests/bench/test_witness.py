@@ -45,6 +45,6 @@ def test_a_witness_is_found_where_there_is_one_and_a_shifted_one_is_refused() ->
     witness = found(told, nobody(told.n))
     assert witness is not None
     assert max(usage(told, witness).values()) <= 1.001
-    aside = replace(witness, start=witness.start + np.array([200.0, 0.0, 0.0, 0.0]))
+    aside = replace(witness, start=witness.start + np.array([200.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
     assert usage(told, aside)["fixes"] > 1.5
     assert not witnessed(truth(1.2, 1.2))

@@ -1,0 +1,70 @@
+"""Faults that show late, drive by drive: when the filter told, and until when no method could.
+
+It needs scipy (witness_search.py).
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from bench.fault_drive import world_of
+from bench.pose_faults import LAWS, Case, Outcome, break_it, cases, when
+from bench.witness import Readings, readings_of
+from bench.witness_search import until_m
+from simulator.faults import Fault
+from simulator.robot import STEP_NS
+from simulator.world import World
+
+SECONDS = 60.0
+MARK_S = MARK_M = 1.0
+WAYS_M = (1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0)
+"""A witness is looked for at the mark, and beyond it as long as there is one and nobody was named."""
+LATE = ("scale wrong by 4 %", "gyroscope stuck on the way")
+
+TEXT = """`nobody before`: until then there's a *witness* (`bench/witness.py`): a motion, held against every reading and
+every declared limit by the nonlinear equations (to a hundred-thousandth of each bound), that explains them all; as long
+as there is one, no sound method may name anybody. Looked for at 1 m and every half metre beyond, where the filter told
+later than 1 s and 1 m. `tilt`: by methods that read accelerometers as tilt sensors, which the robot's own acceleration
+disturbs (so the filter reads them); `any`: as sensors of that acceleration too, 0.1 m/s² at 50 Hz. `none`: none was
+found at 1 m, which proves nothing. `soonest.py` is given the true turning, and no ticks; the limit of acceleration it
+leaves out.
+"""
+HEAD = "| fault | errors | drive | speed | told after | in time | nobody before: tilt | any | `soonest.py` |"
+
+
+def section() -> Iterator[str]:
+    """Markdown, line by line as the drives come in."""
+    yield from TEXT.splitlines()
+    yield ""
+    yield HEAD
+    yield "|---" * 9 + "|"
+    for case in (case for case in cases() if any(late in case.name for late in LATE)):
+        for law in LAWS:
+            for seed in (1, 2, 3):
+                yield _row(case, law, seed)
+
+
+def _row(case: Case, law: str, seed: int) -> str:
+    outcome = break_it(case, law, seed, SECONDS)
+    world = world_of(law, seed, SECONDS)
+    begin_s = when(world, case.turning)
+    in_time = outcome.after_s <= MARK_S or outcome.after_m <= MARK_M
+    tilt = any_ = "-"
+    if not in_time:
+        fault = case.make(begin_s)
+        readings = readings_of(world, case.make(begin_s))
+        until = _witnessed(world, fault, readings, outcome, felt=False)
+        tilt = f"**{until:.1f} m**" if until else "none"
+        if until:
+            felt = _witnessed(world, fault, readings, outcome, felt=True)
+            any_ = f"**{felt:.1f} m**" if felt else "none"
+    speed = abs(world.drive.speed[round(begin_s * 1e9) // STEP_NS])
+    soonest = "-" if np.isnan(outcome.soonest_m) else f"{outcome.soonest_m:.1f} m"
+    told = f"{outcome.after_m:.2f} m, {outcome.after_s:.1f} s" if outcome.named else "never"
+    yes = "yes" if in_time else "no"
+    return f"| {case.name} | {law} | {seed} | {speed:.1f} m/s | {told} | {yes} | {tilt} | {any_} | {soonest} |"
+
+
+def _witnessed(world: World, fault: Fault, readings: Readings, outcome: Outcome, felt: bool) -> float:
+    """The way until which there is a witness, one of WAYS_M before it was told; 0: none at the first."""
+    return until_m(world, fault, readings, felt, tuple(way for way in WAYS_M if way < outcome.after_m))
