@@ -185,6 +185,9 @@ class Publisher:
                 self._session_failed(str(error))
             except zenoh.ZError as error:
                 self._session_failed(str(error))
+            except Exception as error:
+                # Whatever it is: mapping goes on, and a session is opened anew.
+                self._session_failed(f"could not publish: {error!r}")
             self._started.set()
             with self._wake:
                 self._wake.wait_for(lambda: self._stopping, pause_s)
@@ -246,8 +249,8 @@ class Publisher:
                 self._take_questions()
                 self._take_earlier()
                 if self._update is None and self._slot is not None:
-                    self._take_update(self._slot)
-                    self._slot = None
+                    update, self._slot = self._slot, None
+                    self._take_update(update)
                     self._wake.notify_all()
                 delay_s = self._delay_s(now_s)
                 if delay_s <= 0:

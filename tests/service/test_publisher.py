@@ -312,6 +312,26 @@ def test_an_address_that_this_host_does_not_have_yet_does_not_stop_mapping() -> 
     assert publisher.counts["session_failures"] >= 1
 
 
+def test_what_can_not_be_published_is_told_and_the_next_goes_out() -> None:
+    """A fault of ours in one tile ends neither the publisher nor the service: health says what it was."""
+    broken = tile(7)
+    object.__setattr__(broken, "low", None)
+    with publishing() as (publisher, address):
+        publisher.offer(update(broken))
+        deadline = time.monotonic() + WAIT_S
+        while not publisher.counts["session_failures"]:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        assert "could not publish" in str(publisher.state()["failure"])
+        assert publisher.wait_until_ready(WAIT_S)
+        publisher.offer(update(tile(3)))
+        assert publisher.flush(WAIT_S)
+        with open_session("client", connect=[address]) as session:
+            assert [tile_of(sample) for sample in answers(session, "terrabound/v1/rover/map/**")] == [
+                snap_outward(tile(3))
+            ]
+
+
 def test_a_full_mailbox_refuses_and_never_waits() -> None:
     """One slot: ready until it is filled, refused and counted while it is full."""
     publisher = Publisher(PublishConfig(), "rover")
