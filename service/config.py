@@ -62,22 +62,14 @@ class Config:
     store: StoreConfig = field(default_factory=StoreConfig)
 
     @model_validator(mode="after")
-    def _each_device_can_be_used(self) -> Self:
-        taken: dict[str, str] = {}
+    def _no_reading_is_too_late(self) -> Self:
         for entry in fields(self.devices):
             device = getattr(self.devices, entry.name)
-            if device is None:
-                continue
-            key = f"devices.{entry.name}.port"
-            if device.latency_ms[1] > MOST_LATENCY_MS:
+            if device is not None and device.latency_ms[1] > MOST_LATENCY_MS:
                 raise ValueError(
                     f"devices.{entry.name}.latency_ms: {device.latency_ms[1]:g} should be at most {MOST_LATENCY_MS:g} "
                     "(milliseconds); no reading can be used that late"
                 )
-            if not device.port:
-                raise ValueError(f"{key}: is empty; name the port that the device is on")
-            if (other := taken.setdefault(device.port, key)) != key:
-                raise ValueError(f"{other} and {key}: both are {device.port!r}; two devices can't share a port")
         return self
 
 
@@ -120,6 +112,20 @@ def load(path: Path) -> LoadedConfig:
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"{path}: cannot be read: {error}") from None
     return parse(text, folder=path.resolve().parent, source=str(path))
+
+
+def load_for_ports(path: Path) -> LoadedConfig:
+    """`load` for who opens the ports (a replay does not): each device has one of its own, or ConfigurationError."""
+    loaded, taken = load(path), dict[str, str]()
+    for entry in fields(loaded.config.devices):
+        device, key = getattr(loaded.config.devices, entry.name), f"devices.{entry.name}.port"
+        if device is None:
+            continue
+        if not device.port:
+            raise ConfigurationError(f"{path}: {key}: is empty; name the port that the device is on")
+        if (other := taken.setdefault(device.port, key)) != key:
+            raise ConfigurationError(f"{path}: {other} and {key}: both are {device.port!r}; each device needs its own")
+    return loaded
 
 
 def parse(text: str, folder: Path, source: str, dbc: str | None = None) -> LoadedConfig:

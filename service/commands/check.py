@@ -20,7 +20,7 @@ from drivers.protocol import DeviceProtocol
 from drivers.samples import Sample
 from service.commands.check_bounds import check_bounds
 from service.commands.line_rates import rate_that_is_understood
-from service.config import load
+from service.config import load_for_ports
 from service.devices import Device, wiring
 from service.health import DeviceState
 from service.lifecycle import stop_on_signals
@@ -70,7 +70,7 @@ def check(
         print("terrabound check: name the robot's TOML file with --config, or a capture with --bounds", file=sys.stderr)
         return EXIT_USAGE
     console = Console()
-    loaded = load(config)
+    loaded = load_for_ports(config)
     devices = wiring(loaded)
     console.print(f"{config}: configuration is valid", markup=False, highlight=False, soft_wrap=True)
     if seconds == 0:

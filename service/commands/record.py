@@ -9,7 +9,7 @@ from pathlib import Path
 from drivers.clock import SystemClock
 from drivers.errors import CaptureError
 from drivers.port_read import read_in_machine_code
-from service.config import load
+from service.config import load_for_ports
 from service.devices import wiring
 from service.lifecycle import stop_on_signals
 from service.readers import Readers
@@ -25,7 +25,7 @@ def record(*, config: Path, output: Path) -> int:
     output
         MCAP file to write.
     """
-    loaded = load(config)
+    loaded = load_for_ports(config)
     # Samples are made for the devices' states alone: none is kept.
     readers = Readers(loaded, SystemClock(), devices=wiring(loaded), capture=output)
     health = readers.health

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from drivers.clock import SystemClock
-from service.config import LoadedConfig, load
+from service.config import LoadedConfig, load_for_ports
 from service.health import Health
 from service.lifecycle import ServiceNotifier, stop_on_signals
 from service.readers import Readers
@@ -33,7 +33,7 @@ def run(*, config: Path) -> int:
     config
         The robot's TOML file; docs/config/ holds examples.
     """
-    loaded = load(config)
+    loaded = load_for_ports(config)
     record = loaded.config.record.path
     notifier = ServiceNotifier()
     with stop_on_signals() as ended:

@@ -83,6 +83,8 @@ def test_wrong_usage_is_2(arguments: str, folder: Path, capfd: pytest.CaptureFix
         ('dbc = "tracks.dbc"', 'dbc = "none.dbc"', "none.dbc: cannot be read"),
         ("TRACKS.LEFT", "TRACKS.LEFTY", "devices.encoders: 'TRACKS.LEFTY': TRACKS has no signal"),
         ("[robot]", "[robot", "robot.toml: not valid TOML"),
+        ('"ports/imu"', '"ports/laser"', "robot.toml: devices.laser.port and devices.imu.port: both are 'ports/laser'"),
+        ('"ports/imu"', '""', "robot.toml: devices.imu.port: is empty"),
         ("[robot]", "robot = 3\n[other]", "robot: 3 should be an object"),
     ],
 )

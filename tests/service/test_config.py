@@ -55,12 +55,6 @@ def test_all_mistakes_come_at_once() -> None:
         ("[map]", "[map]\nmax_tile = 3", "map.max_tile"),
         ('interface = "slcan"', 'interface = "serial"', "devices.encoders.interface"),
         ("range_min_m = 0.3", "range_min_m = 8.5", "range_min_m = 8.5 should be less than range_max_m = 8"),
-        (
-            'port = "ports/imu"',
-            'port = "ports/laser"',
-            "devices.laser.port and devices.imu.port: both are",
-        ),
-        ('port = "ports/imu"', 'port = ""', "devices.imu.port"),
         ("left_metres_per_tick = 0.0002", "left_metres_per_tick = 0.0", "devices.encoders.left_metres_per_tick"),
         ("latency_ms = [38.0, 50.0]", "latency_ms = [38.0, 1e15]", "devices.gps.latency_ms: 1e+15 should be at most"),
         ("mirror_phase_ms = [0.0, 0.0]", "mirror_phase_ms = [0.0, 1e15]", "devices.laser.mirror_phase_ms.1"),
