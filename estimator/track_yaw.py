@@ -81,14 +81,15 @@ class TrackYaw:
         if last is None or not step.counted:
             begin_sums(self._sums)
             return
-        beyond, row = add_step(
+        beyond, _ = add_step(
             self._sums, step.left, step.right, step.time_high, tuple(self._tracks), gauge, tube.times, tube.net,
             tube.effort, tube.begin, tube.end, last.earliest_ns, last.latest_ns, stamp.earliest_ns, stamp.latest_ns,
         )  # fmt: skip
         if beyond > 0.0:
-            _, by_tracks, by_gyro = self._sums[row].tolist()
             begin_sums(self._sums)
-            self._journal.report(self._likelier(by_tracks, by_gyro), stamp.mid_ns, beyond / mid(gauge), "rad")
+            # So soon, which tells of the larger turn is chance: only a gyroscope that repeats itself gives itself away.
+            sensor = "gyro" if self.gyro_repeats_itself else "encoders"
+            self._journal.report(sensor, stamp.mid_ns, beyond / mid(gauge), "rad")
 
     def _begin(self, stamp: Stamp) -> None:
         self._start, self._left, self._right, self._way = stamp, 0.0, 0.0, 0.0
