@@ -55,7 +55,7 @@ class TrackYaw:
         self._start: Stamp | None = None
         self._left = self._right = self._way = 0.0
         self._last: Stamp | None = None
-        self._sums = np.zeros((2, 3))
+        self._sums = np.zeros(2)
         """Of every stretch, see turn_cusum.py."""
 
     def watch(self, stamp: Stamp, step: Step) -> None:
@@ -81,7 +81,7 @@ class TrackYaw:
         if last is None or not step.counted:
             begin_sums(self._sums)
             return
-        beyond, _ = add_step(
+        beyond = add_step(
             self._sums, step.left, step.right, step.time_high, tuple(self._tracks), gauge, tube.times, tube.net,
             tube.effort, tube.begin, tube.end, last.earliest_ns, last.latest_ns, stamp.earliest_ns, stamp.latest_ns,
         )  # fmt: skip

@@ -22,15 +22,12 @@ from estimator.rate_integral import partial
 from estimator.tube import first_not_before, last_not_after
 
 NEVER = -1e9
-HIGHEST, BY_TRACKS, BY_GYRO = range(3)
-"""Columns of the sums: H, and what its stretch says of (right - left)."""
 
 
 @compiled
 def begin_sums(sums: NDArray[np.float64]) -> None:
     """No stretch reaches over here."""
-    sums[:] = 0.0
-    sums[:, HIGHEST] = NEVER
+    sums[:] = NEVER
 
 
 @compiled
@@ -50,10 +47,10 @@ def add_step(
     last_latest_ns: int,
     earliest_ns: int,
     latest_ns: int,
-) -> tuple[float, int]:
-    """A step further, from the count with the last stamp to the one with the next; sums [2, 3].
+) -> float:
+    """A step further, from the count with the last stamp to the one with the next; sums [2]: H for either sign.
 
-    By how much (m) q is exceeded in the worst stretch that ends here, if that is above zero; and which row that is.
+    By how much (m) q is exceeded in the worst stretch that ends here; 0 where it is not.
     """
     bounds = TrackBounds(*tracks)
     a = last_not_after(times, begin, end, last_earliest_ns)
@@ -61,7 +58,7 @@ def add_step(
     b_before, b = last_not_after(times, begin, end, earliest_ns), first_not_before(times, begin, end, latest_ns)
     if a < begin or b >= end:
         begin_sums(sums)
-        return 0.0, 0
+        return 0.0
     c = mid(gauge)
     slack = up(reach(gauge, c) * ((effort[b, 2] - effort[a, 2]) * QUANTUM))
     for way, quantum in ((left, bounds.quantum_left), (right, bounds.quantum_right)):
@@ -74,16 +71,11 @@ def add_step(
     least, most = mul((c, c), (least, most))
     first, last = mul((c, c), partial(net, effort, 2, a, a_after)), mul((c, c), partial(net, effort, 2, b_before, b))
     q = up(bounds.quantum_left + bounds.quantum_right)
-    difference, worst, row = right - left, 0.0, 0
+    difference, worst = right - left, 0.0
     for side in range(2):
         before, after = (first[1], last[0]) if side == 0 else (-first[0], -last[1])
         step = difference - most if side == 0 else least - difference
-        if -before >= sums[side, HIGHEST]:  # the stretch that begins here is worse than those before
-            sums[side, HIGHEST], sums[side, BY_TRACKS], sums[side, BY_GYRO] = -before, 0.0, 0.0
-        sums[side, HIGHEST] = down(sums[side, HIGHEST] + down(step - slack))
-        sums[side, BY_TRACKS] += difference
-        sums[side, BY_GYRO] += 0.5 * (least + most)
-        beyond = down(down(sums[side, HIGHEST] + after) - q)
-        if beyond > worst:
-            worst, row = beyond, side
-    return worst, row
+        # A stretch that begins here may be worse than all those before.
+        sums[side] = down(max(sums[side], -before) + down(step - slack))
+        worst = max(worst, down(down(sums[side] + after) - q))
+    return worst

@@ -44,12 +44,12 @@ def worst_stretch(slips: Array, noise: Array, stuck_at: int, late_ns: int, gauge
     ground = STEP_S + np.array([-0.5, 0.5]) * (centre * np.diff(yaw))[:, np.newaxis]
     ran = np.vstack([np.zeros(2), np.cumsum(ground / (1.0 + 0.02 * slips[:STEPS]), axis=0)])
     counts = np.floor(ran / TICK_M) * TICK_M
-    sums, told = np.zeros((2, 3)), []
+    sums, told = np.zeros(2), []
     begin_sums(sums)
     for k in range(1, STEPS):
         left, right = (counts[k] - counts[k - 1]).tolist()
         last, now = ((k - 1) * STEP_NS + late_ns, k * STEP_NS + late_ns)
-        beyond, _ = add_step(
+        beyond = add_step(
             sums, left, right, STEP_S, tuple(TRACKS), gauge, times, net, effort, 0, k + 2, last, last, now, now
         )
         if beyond > 0.0:
