@@ -60,6 +60,8 @@ class RelaxedWindow(GpsWindow):
     ) -> bool:
         """As GpsWindow's, with antenna, offset and place [3, 2]; False where more than `wrong` must be wrong."""
         k = self.count
+        if k:
+            self._settle(k - 1, self._since[0])
         put_fix(self._blocks, k, antenna[:2], offset[:2], heading, seconds[0])
         self._heights[k] = sub((antenna[2, 0], antenna[2, 1]), (offset[2, 0], offset[2, 1]))
         if not self._level(place[2], quantum):
