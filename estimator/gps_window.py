@@ -8,10 +8,10 @@ that leaves of yaw, place and bias is paving.py's.
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.fan import add_box, less
+from estimator.fan import less
 from estimator.frames import turned
 from estimator.interval import add, is_empty, meet
-from estimator.odometry_block import BLOCK, Blocks, empty_block, extend_two_blocks, put_fix
+from estimator.odometry_block import BLOCK, Blocks, empty_block, extend_two_blocks, follow_block, put_fix
 from estimator.paving import contract_by_window
 from estimator.place_polygon import SIDES, cut_anew, cut_polygon, moved_polygon
 from estimator.slip_ledger import Mark, SlipLedger
@@ -143,7 +143,8 @@ class GpsWindow:
         self._polygon[:] = self._moved
         for name in ("heading", "seconds"):
             self._blocks[name][RECENT] = self._blocks[name][self.count]
-        self._since[1] = self._empty(RECENT, bias, slack)
+        empty_block(self._blocks, RECENT, bias, slack)
+        self._since[1] = self._mark()
 
     def _let_go_of_the_oldest(self) -> None:
         """Make room for one more fix."""
@@ -155,11 +156,10 @@ class GpsWindow:
         k = self.count
         if k:
             self._settle(k - 1, self._since[0])
-            add_box(self._blocks["error"][k - 1], quantum, quantum)
-        self._since[0] = self._empty(k, bias, slack)
+        follow_block(self._blocks, k, bias, slack, quantum)
+        self._since[0] = self._mark()
         self.count = k + 1
 
-    def _empty(self, k: int, bias: NDArray[np.float64], slack: float) -> Mark | None:
-        """A block without a step yet; it begins at the newest count."""
-        empty_block(self._blocks, k, bias, slack)
+    def _mark(self) -> Mark | None:
+        """A block begins at the newest count."""
         return self._ledger.mark() if self._ledger else None

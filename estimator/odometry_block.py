@@ -67,6 +67,14 @@ def empty_block(blocks: Blocks, k: int, bias: NDArray[np.float64], slack: float)
 
 
 @compiled
+def follow_block(blocks: Blocks, k: int, bias: NDArray[np.float64], slack: float, quantum: float) -> None:
+    """Block k begins where the one before it, if there is one, ends: at a count, which may be off by a quantum."""
+    if k:
+        add_box(blocks[k - 1].error, quantum, quantum)
+    empty_block(blocks, k, bias, slack)
+
+
+@compiled
 def extend_block(
     block: Any,
     step: NDArray[np.float64],
