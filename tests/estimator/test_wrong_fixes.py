@@ -8,7 +8,7 @@ import pytest
 
 from bench.fault_drive import FaultDrive, drive, world_of
 from estimator.config import FilterConfig, SetName
-from estimator.relaxed_window import longest_rest, relaxed
+from estimator.relaxed_window import RelaxedWindow, longest_rest, relaxed
 from simulator.faults import FalseFixes, GpsJump, Reading
 
 SECONDS = 20.0
@@ -97,3 +97,22 @@ def test_more_false_fixes_than_declared_are_a_fault() -> None:
     outcome = followed(FilterConfig(wrong_fixes=1, standstill_s=0.5, standstill_rate_dps=0.02), jump.changed)
     assert outcome.filter.guarantee.sensor == "gps"
     assert outcome.untold == 0
+
+
+def test_the_way_since_the_last_fix_is_as_uncertain_as_its_steps() -> None:
+    """A metre whose every step is at its bound: where two older fixes and that way leave the robot holds the truth."""
+    window = RelaxedWindow(0.0, 1, 8)
+    known, axis, heading = np.zeros(2), np.array([1.0, 0.0, 0.0]), np.zeros(3)
+    true_m = 0.0
+    for number, (steps, error_m) in enumerate(((0, 0.0), (1, 0.001), (10, 0.005))):
+        for _ in range(steps):
+            step = np.array([[0.1 - error_m, 0.1 + error_m], [-0.001, 0.001], [-0.001, 0.001]])
+            window.extend(step, axis, heading, 0.0, known, float(number))
+            true_m += 0.1 + error_m
+        antenna = np.array([true_m, 0.0, 0.0])[:, None] + np.array([-0.002, 0.002])
+        yaw, place = np.array([-1e-6, 1e-6]), np.array([[-9.0, 9.0]] * 3)
+        seconds = float(number), float(number)
+        assert window.narrowed(antenna, np.zeros((3, 2)), heading, seconds, 0.0, known, yaw, place)
+        assert place[0, 0] <= true_m <= place[0, 1]
+        window.remember(known, 0.0, 0.0, yaw, place)
+    assert place[0, 1] - place[0, 0] < 0.12
