@@ -35,7 +35,8 @@ class Conversation:
     ) -> None:
         """`ask` has the port do something; it never waits.
 
-        `acknowledge(device, total bytes)` is called once bytes are parsed and queued; a lockstep waits for it.
+        `acknowledge(device, total bytes)` is called once bytes are parsed and queued, and what the protocol answers has
+        been asked for; a lockstep waits for it.
         """
         self.protocol = device.protocol()
         self._name = device.name
@@ -69,6 +70,8 @@ class Conversation:
         else:
             self._receive(record, read_ns)
         self._request()
+        if record.size > 0 and self._acknowledge is not None:
+            self._acknowledge(self._name, self._total_bytes)
 
     def look_up(self, now_ns: int) -> None:
         """Let a deadline pass, where it has."""
@@ -109,8 +112,6 @@ class Conversation:
             self._queue.put([Arrival(self._name, sample, record.read_ns) for sample in samples])
         self._total_bytes += len(data)
         self._health.received(self._name, len(data), len(samples), record.read_ns)
-        if self._acknowledge is not None:
-            self._acknowledge(self._name, self._total_bytes)
 
     def _request(self) -> None:
         """Ask the port for what the protocol wants."""

@@ -47,6 +47,8 @@ class Reader:
         self.failure: BaseException | None = None
         """What ended the thread, if it wasn't `stop`: a fault of ours, never of the line."""
         self._stopping = threading.Event()
+        self._settled = threading.Event()
+        """Nothing that was asked is left to do."""
         self._thread = threading.Thread(target=self._run, name=f"reader-{device.name}", daemon=True)
 
     def start(self) -> None:
@@ -66,7 +68,12 @@ class Reader:
     def ask(self, request: Request) -> None:
         """Have this done at the port, soon. Never waits."""
         self._requests.append(request)
-        self.wake()
+        self._settled.clear()
+        self.wake()  # in this order: the thread looks once more after this
+
+    def settle(self, timeout_s: float) -> bool:
+        """Wait until all that was asked is done; a port that is away, or takes nothing, is not waited for long."""
+        return self._settled.wait(timeout_s)
 
     def wake(self) -> None:
         """Have the thread look up."""
@@ -116,5 +123,6 @@ class Reader:
                 transport.write(request.data)
                 if request.baud is not None:
                     transport.set_baud(request.baud)
+            self._settled.set()
             self._health.alive(self._device.name, time.monotonic_ns())
             transport.pump(self._pipe, self._number, self._opening, self._wake_fd, LONGEST_PUMP_S)

@@ -11,6 +11,7 @@ used.
 import threading
 import time
 from collections.abc import Callable, Collection, Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
 GATHER_S = 0.004
 """In real time what has come is parsed this often."""
+LONGEST_ANSWER_S = 1.0
 LONGEST_WAIT_S = 0.05
 """The thread looks up at least this often."""
 
@@ -109,8 +111,9 @@ class Readers:
         # The scanner first: it may have to be set up, which takes a second.
         for device in sorted(self.devices, key=lambda device: device.name != "laser"):
             reader = Reader(device, len(self._readers), self._pipe, self.health)
+            answered = None if acknowledge is None else partial(self._answered, reader, acknowledge)
             conversation = Conversation(
-                device, self.clock, self.queue, self.health, reader.ask, self._capture, acknowledge
+                device, self.clock, self.queue, self.health, reader.ask, self._capture, answered
             )
             self._names.append(device.name)
             self._conversations.append(conversation)
@@ -118,6 +121,12 @@ class Readers:
             reader.start()
             if len(self._readers) == 1:
                 self._thread.start()
+
+    @staticmethod
+    def _answered(reader: Reader, acknowledge: Callable[[str, int], None], device: str, total_bytes: int) -> None:
+        """In lockstep time goes on once a protocol's answer to what it heard is on the line."""
+        reader.settle(LONGEST_ANSWER_S)
+        acknowledge(device, total_bytes)
 
     def read_punctually(self) -> None:
         """From now on bytes are stamped as they come, and samples are kept."""
