@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 GATHER_S = 0.004
 """In real time what has come is parsed this often."""
 LONGEST_ANSWER_S = 1.0
+"""So long a lockstep waits for a port to take what its protocol answers."""
 LONGEST_WAIT_S = 0.05
 """The thread looks up at least this often."""
 
