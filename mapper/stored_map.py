@@ -87,7 +87,11 @@ def _openable(path: Path) -> Iterator[Path]:
 def _refuse_in_use(path: Path) -> None:
     """Raise StoreError where a service is writing the file."""
     start, length = _LOCK_BYTES
-    with path.open("rb") as file:
+    try:
+        file = path.open("rb")
+    except OSError as error:
+        raise StoreError(f"{path}: can't be read ({error.strerror}); ask its owner for the right to") from error
+    with file:
         try:
             fcntl.lockf(file, fcntl.LOCK_SH | fcntl.LOCK_NB, length, start)
         except OSError as error:
