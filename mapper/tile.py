@@ -120,7 +120,6 @@ def compile_tiles() -> None:
     level = np.zeros((TILE_SIDE, TILE_SIDE), np.float32)
     nothing, flat = unseen_tile(0, 0, 0, 1.0), Tile(0, 0, 0, 1.0, level, level, NO_CELL, level, level)
     snap_outward(join(flat, changed(nothing, flat)))
-    advanced(nothing, Tile(0, 0, 0, 1.0, level, level))
     assert nothing.cells_seen == 0
 
 
@@ -161,25 +160,6 @@ def snap_outward(tile: Tile) -> Tile:
     low, high = _pair(_snap, tile.low, tile.high)
     settled = (tile.settled_low, tile.settled_high)
     return _like(tile, low, high, tile.surely_hit, *(_pair(_snap, *settled) if tile.has_settled else settled))
-
-
-def advanced(old: Tile, more: Tile) -> tuple[Tile, Tile]:
-    """A snapped tile joined with more of it, snapped; and what changed by that: in one go, for each message.
-
-    The same as `new = join(old, snap_outward(more))` and `changed(old, new)`.
-    """
-    if old.has_settled or more.has_settled:
-        new = join(old, snap_outward(more))
-        return new, changed(old, new)
-    if not _same_place(old, more):
-        raise ValueError(f"can't join {_place(old)} with {_place(more)}")
-    surely_hit = _either(old.surely_hit, more.surely_hit)
-    differs = surely_hit > old.surely_hit
-    layers = _blank(), _blank(), _blank(), _blank()
-    _advance(old.low, old.high, more.low, more.high, differs, *layers)
-    new = _like(old, *layers[:2], surely_hit, NOWHERE, NOWHERE)
-    hit = NO_CELL if surely_hit is NO_CELL else surely_hit & differs
-    return new, _like(old, *layers[2:], hit, NOWHERE, NOWHERE)
 
 
 def content_crc(tile: Tile) -> int:
@@ -286,38 +266,6 @@ def _only(cells: Flags, low: Layer, high: Layer, only_low: Layer, only_high: Lay
         for col in range(TILE_SIDE):
             only_low[row, col] = low[row, col] if cells[row, col] else _NAN
             only_high[row, col] = high[row, col] if cells[row, col] else _NAN
-
-
-@compiled
-def _advance(
-    old_low: Layer,
-    old_high: Layer,
-    more_low: Layer,
-    more_high: Layer,
-    differs: Flags,
-    low: Layer,
-    high: Layer,
-    changed_low: Layer,
-    changed_high: Layer,
-) -> None:
-    """`differs` holds what is newly hit. Comparisons with NaN are false; each loop is short enough to be vectorised."""
-    for row in range(TILE_SIDE):
-        for col in range(TILE_SIDE):
-            a, b = snapped_down(more_low[row, col]), old_low[row, col]
-            low[row, col] = a if (a < b) | (b != b) else b
-        for col in range(TILE_SIDE):
-            a, b = snapped_up(more_high[row, col]), old_high[row, col]
-            high[row, col] = a if (a > b) | (b != b) else b
-        for col in range(TILE_SIDE):
-            a, b = low[row, col], old_low[row, col]
-            differs[row, col] |= (a != b) & (a == a)
-        for col in range(TILE_SIDE):
-            a, b = high[row, col], old_high[row, col]
-            differs[row, col] |= (a != b) & (a == a)
-        for col in range(TILE_SIDE):
-            changed_low[row, col] = low[row, col] if differs[row, col] else _NAN
-        for col in range(TILE_SIDE):
-            changed_high[row, col] = high[row, col] if differs[row, col] else _NAN
 
 
 @compiled_into_callers

@@ -54,22 +54,25 @@ class ReceivedTile:
     """Wall clock, since 1970."""
 
 
-def encode(tile: Tile, frame_id: str, stamp_ns: int) -> bytes:
-    """The payload of a tile, or of a delta, snapped outward to 2^-9 m. stamp_ns: wall clock."""
-    record = _SETTLED if tile.has_settled else _PLAIN
-    cells = _UNSEEN[record].copy()
-    if tile.has_settled:
-        _pack(tile.settled_low, tile.settled_high, tile.surely_hit, cells, record.itemsize, 8)
-    _pack(tile.low, tile.high, tile.surely_hit, cells, record.itemsize, 0)
+def encode(tile: Tile, frame_id: str, stamp_ns: int, cells: Flags | None = None) -> bytes:
+    """The payload of a tile, snapped outward to 2^-9 m; a delta where only these `cells` are told of, all of them seen.
+
+    stamp_ns: wall clock.
+    """
+    wanted = tile.low == tile.low if cells is None else cells
+    settled = tile.has_settled and (cells is None or bool((tile.settled_low == tile.settled_low)[cells].any()))
+    record = _SETTLED if settled else _PLAIN
     seconds, nanos = divmod(stamp_ns, _NS)
     # Serialised messages, one after the other, are the serialised union of their fields.
-    message = (
-        Grid(timestamp=Timestamp(seconds=seconds, nanos=nanos)).SerializeToString(),
-        _around_cells(frame_id, tile.ix, tile.iy, tile.resolution_m, record),
-        _before_cells(cells.size),
-        cells.data,
-    )
-    return _COMPRESSOR.compress(b"".join(message), zstd.ZstdCompressor.FLUSH_FRAME)
+    message = bytearray(Grid(timestamp=Timestamp(seconds=seconds, nanos=nanos)).SerializeToString())
+    message += _around_cells(frame_id, tile.ix, tile.iy, tile.resolution_m, record)
+    begin = len(message)
+    message += _UNSEEN[record]
+    records = np.frombuffer(message, np.uint8, offset=begin)
+    if settled:
+        _pack(tile.settled_low, tile.settled_high, tile.surely_hit, wanted, records, record.itemsize, 8)
+    _pack(tile.low, tile.high, tile.surely_hit, wanted, records, record.itemsize, 0)
+    return _COMPRESSOR.compress(message, zstd.ZstdCompressor.FLUSH_FRAME)
 
 
 def compile_codec() -> None:
@@ -78,42 +81,45 @@ def compile_codec() -> None:
 
 
 @compiled
-def _pack(low: Layer, high: Layer, surely_hit: Flags, cells: NDArray[np.uint8], stride: int, at: int) -> None:
-    """Two elevations, snapped outward, into the records of seen cells, from byte `at` on; the flag at their end."""
+def _pack(
+    low: Layer, high: Layer, surely_hit: Flags, wanted: Flags, cells: NDArray[np.uint8], stride: int, at: int
+) -> None:
+    """Two elevations, snapped outward, into the records of wanted cells, from byte `at` on; the flag at their end.
+
+    A NaN is written as it stands there already.
+    """
+    eights = wanted.view(np.uint64)
     for row in range(TILE_SIDE):
-        for col in range(TILE_SIDE):
-            if np.isnan(low[row, col]):
+        for eight in range(TILE_SIDE // 8):
+            if eights[row, eight] == np.uint64(0):
                 continue
-            start = (row * TILE_SIDE + col) * stride
-            a = np.float32(snapped_down(low[row, col])).view(np.uint32)
-            b = np.float32(snapped_up(high[row, col])).view(np.uint32)
-            for byte in range(4):
-                cells[start + at + byte] = np.uint8((a >> np.uint32(8 * byte)) & np.uint32(0xFF))
-                cells[start + at + 4 + byte] = np.uint8((b >> np.uint32(8 * byte)) & np.uint32(0xFF))
-            cells[start + stride - 1] = surely_hit[row, col]
+            for col in range(8 * eight, 8 * eight + 8):
+                if not wanted[row, col]:
+                    continue
+                start = (row * TILE_SIDE + col) * stride
+                a = np.float32(snapped_down(low[row, col])).view(np.uint32)
+                b = np.float32(snapped_up(high[row, col])).view(np.uint32)
+                for byte in range(4):
+                    cells[start + at + byte] = np.uint8((a >> np.uint32(8 * byte)) & np.uint32(0xFF))
+                    cells[start + at + 4 + byte] = np.uint8((b >> np.uint32(8 * byte)) & np.uint32(0xFF))
+                cells[start + stride - 1] = surely_hit[row, col]
 
 
-def _unseen_cells(record: np.dtype[np.void]) -> NDArray[np.uint8]:
-    """The records of a tile that says nothing."""
+def _unseen_cells(record: np.dtype[np.void]) -> bytes:
+    """The records of a tile that says nothing, byte by byte."""
     cells = np.zeros(TILE_CELLS, record)
     for name, (kind, *_) in (record.fields or {}).items():
         if kind.kind == "f":
             cells[name] = NOWHERE.ravel()
-    return cells.view(np.uint8)
+    return cells.tobytes()
 
 
 _UNSEEN = {record: _unseen_cells(record) for record in (_PLAIN, _SETTLED)}
 
 
-@lru_cache(maxsize=8)
-def _before_cells(size: int) -> bytes:
-    """What stands before `size` bytes of cells: serialised."""
-    return Grid(data=bytes(size)).SerializeToString()[:-size]
-
-
 @lru_cache(maxsize=1024)
 def _around_cells(frame_id: str, ix: int, iy: int, resolution_m: float, record: np.dtype[np.void]) -> bytes:
-    """What a tile's messages say alike, whatever is in its cells: serialised."""
+    """What a tile's messages say alike, up to the bytes of its cells: serialised."""
     around = Grid(
         frame_id=frame_id,
         column_count=TILE_SIDE,
@@ -125,7 +131,9 @@ def _around_cells(frame_id: str, ix: int, iy: int, resolution_m: float, record: 
     around.cell_size.x = around.cell_size.y = resolution_m
     for name, offset, kind in _fields(record):
         around.fields.add(name=name, offset=offset, type=kind)
-    return around.SerializeToString(deterministic=True)
+    size = len(_UNSEEN[record])
+    before_cells = Grid(data=bytes(size)).SerializeToString()[:-size]
+    return around.SerializeToString(deterministic=True) + before_cells
 
 
 def decode(payload: bytes, submap: int) -> ReceivedTile:

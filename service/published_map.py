@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
-from mapper.tile import Tile, advanced, compile_tiles, content_crc, snap_outward
+from mapper.tile import Flags, Tile, compile_tiles, content_crc, snap_outward
+from mapper.tile_growth import compile_growth, grown
 from service.messages import DigestEntry, GuaranteeMessage, TileId
 from service.topics import Kind
 
@@ -39,6 +40,16 @@ class EarlierSubmap:
     tiles: tuple[DigestEntry, ...]
 
 
+class TileNews(NamedTuple):
+    """What is to be sent of a tile."""
+
+    kind: Kind
+    tile: Tile
+    cells: Flags | None
+    """Of a delta: those that it tells of, where it doesn't tell of all that are seen."""
+    version: int
+
+
 class _Away(NamedTuple):
     """What is known of a tile that is not in memory."""
 
@@ -52,6 +63,7 @@ class PublishedMap:
     def __init__(self, recall: Recall = nothing_kept, tiles_in_memory: int | None = None) -> None:
         """`tiles_in_memory` None: all. What `recall` gives must contain what was published."""
         compile_tiles()
+        compile_growth()
         self.not_recalled = 0
         """Tiles that the store could not give any more: they are listed no longer."""
         self._recall = recall
@@ -89,31 +101,44 @@ class PublishedMap:
             self._away[place] = away = _Away(away.version + 1, crc)
         return PublishedTile(tile, away.version)
 
-    def update(self, tile: Tile) -> tuple[Kind, Tile, int] | None:
-        """Take what a tile holds: what to send for it (kind, cells, version); None where nothing changed.
+    def update(self, tile: Tile) -> TileNews | None:
+        """Take what a tile holds: what to send for it; None where nothing changed.
 
         It is joined to what was published: a tile that had left the map's memory comes with its newest cells alone.
         """
         place = TileId(tile.submap, tile.ix, tile.iy)
         away, old = self._away.get(place), self.get(place)
-        if old is None:
-            new = delta = snap_outward(tile)
-        else:
-            new, delta = advanced(old.tile, tile)
-        version = 1 if old is None else old.version + 1
         if away is not None:
-            # What was published of it is known by its CRC alone.
-            delta, version = snap_outward(tile), away.version + 1
-            if content_crc(new) == away.crc:
-                self._keep(place, PublishedTile(new, away.version))
-                return None
+            return self._update_away(place, tile, away, old)
+        if old is None:
+            new = snap_outward(tile)
+            return self._news(place, "full", new, None, 1) if new.cells_seen else None
+        new, differs, cells_changed, cells_seen = grown(old.tile, tile)
+        if cells_changed == 0:
+            return None
+        if 2 * cells_changed > cells_seen:
+            return self._news(place, "full", new, None, old.version + 1)
+        return self._news(place, "delta", new, differs, old.version + 1)
+
+    def _update_away(self, place: TileId, tile: Tile, away: _Away, old: PublishedTile | None) -> TileNews | None:
+        """The same where what was published is known by its CRC alone: all that came is news."""
+        delta = snap_outward(tile)
+        new = delta if old is None else grown(old.tile, tile).tile
+        if content_crc(new) == away.crc:
+            self._keep(place, PublishedTile(new, away.version))
+            return None
         cells = delta.cells_seen
         if cells == 0:
             return None
-        self._keep(place, PublishedTile(new, version))
         if old is None or 2 * cells > new.cells_seen:
-            return "full", new, version
-        return "delta", delta, version
+            return self._news(place, "full", new, None, away.version + 1)
+        self._keep(place, PublishedTile(new, away.version + 1))
+        return TileNews("delta", delta, None, away.version + 1)
+
+    def _news(self, place: TileId, kind: Kind, new: Tile, cells: Flags | None, version: int) -> TileNews:
+        """A new state, which is kept."""
+        self._keep(place, PublishedTile(new, version))
+        return TileNews(kind, new, cells, version)
 
     def adopt(self, entries: Iterable[DigestEntry]) -> None:
         """Publish tiles that only the store holds."""

@@ -88,12 +88,11 @@ class PublishedState:
         news = self.map.update(tile)
         if news is None:
             return None
-        kind, cells, version = news
-        payload = encode(cells, MAP_FRAME, time.time_ns())
+        payload = encode(news.tile, MAP_FRAME, time.time_ns(), news.cells)
         if update.beams_until_ns is not None:
             self._beams_until_ns[TileId(tile.submap, tile.ix, tile.iy)] = update.beams_until_ns
         times = update.released_ns, update.beams_until_ns
-        return TileMessage(kind, payload, write_note(self._epoch, version, self._guarantee_json, *times))
+        return TileMessage(news.kind, payload, write_note(self._epoch, news.version, self._guarantee_json, *times))
 
     def whole(self, place: TileId) -> TileMessage | None:
         """A tile as it was published last; None where it isn't there any more."""

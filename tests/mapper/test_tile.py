@@ -13,7 +13,6 @@ from mapper.tile import (
     NO_CELL,
     SNAP_M,
     Tile,
-    advanced,
     changed,
     compile_tiles,
     content_crc,
@@ -21,6 +20,7 @@ from mapper.tile import (
     snap_outward,
     unseen_tile,
 )
+from mapper.tile_growth import grown
 
 CELLS = arrays.arrays(
     np.float32,
@@ -102,7 +102,10 @@ def test_advancing_a_published_tile_is_joining_and_comparing_it(a: Tile, b: Tile
     """What is done for each message in one go gives what its parts give, bit for bit."""
     old = snap_outward(a)
     new = join(old, snap_outward(b))
-    assert advanced(old, b) == (new, changed(old, new))
+    delta, growth = changed(old, new), grown(old, b)
+    assert growth.tile == new
+    assert np.array_equal(growth.differs, ~np.isnan(delta.low))
+    assert (growth.cells_changed, growth.cells_seen) == (delta.cells_seen, new.cells_seen)
 
 
 @given(some_tiles(), some_tiles())

@@ -66,6 +66,19 @@ def test_settled_bounds_come_back_too() -> None:
     assert len(encode(tile, "map", STAMP)) < 24_000
 
 
+@pytest.mark.parametrize(("old", "new"), [(unseen_tile(4, -3, 5, 0.05), a_tile()), (a_tile(), settled(a_tile()))])
+@pytest.mark.parametrize("part", [0.0, 0.01, 0.5, 1.0])
+def test_a_delta_is_written_from_the_whole_tile(old: Tile, new: Tile, part: float) -> None:
+    """Byte for byte what the delta itself would be, whichever cells it is of, settled or not."""
+    random = np.random.default_rng(3)
+    old, new = snap_outward(old), snap_outward(new)
+    keep = random.random((64, 64)) < part
+    layers = [np.where(keep, b, a) for a, b in zip(old.layers, new.layers, strict=True)]
+    new = Tile(4, -3, 5, 0.05, *layers)
+    delta = changed(old, new)
+    assert encode(new, "map", STAMP, ~np.isnan(delta.low)) == encode(delta, "map", STAMP)
+
+
 def test_a_tile_from_before_cells_had_flags_is_still_read() -> None:
     """Eight bytes a cell, two fields: the same elevations, nothing surely hit."""
     tile = snap_outward(a_tile())

@@ -15,6 +15,7 @@ from estimator.bounded_pose import INTACT, BoundedPose
 from mapper.config import MapConfig
 from mapper.elevation_map import ElevationMap
 from mapper.tile import Tile, join, snap_outward
+from mapper.tile_codec import decode, encode
 from service.health import Health
 from service.map_keeper import MapKeeper, Unkept
 from service.messages import TileId
@@ -135,9 +136,10 @@ def test_versions_only_rise_and_a_delta_joins_to_what_is_listed(keeper: MapKeepe
         wait_until_saved(keeper)
         for tile in changes:
             if (news := published.update(tile)) is not None:
-                place, cells = TileId(tile.submap, tile.ix, tile.iy), news[1]
+                place = TileId(tile.submap, tile.ix, tile.iy)
+                cells = decode(encode(news.tile, "map", 0, news.cells), tile.submap).tile
                 copy[place] = join(copy[place], cells) if place in copy else cells
-                versions.setdefault(place, []).append(news[2])
+                versions.setdefault(place, []).append(news.version)
         window.roll(rolling, pose)
     for place, tile in copy.items():
         ours = published.get(place)
