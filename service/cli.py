@@ -69,7 +69,10 @@ def main() -> None:
 def run_command(arguments: list[str]) -> int:
     """Run one command; returns the exit code."""
     try:
-        return _run_command(arguments)
+        code = _run_command(arguments)
+        if sys.stdout is not None:  # closed by `>&-`
+            sys.stdout.flush()
+        return code
     except ConfigurationError as error:
         print(f"terrabound: {error}", file=sys.stderr)
         return EXIT_CONFIG
@@ -98,6 +101,11 @@ def _run_command(arguments: list[str]) -> int:
         result = _app(arguments)(arguments, exit_on_error=False, print_error=True, result_action="return_value")
     except CycloptsError:
         return EXIT_USAGE
+    except SystemExit as error:
+        # A help page is printed by rich, which makes an exit of its own of a reader that left.
+        if isinstance(error.__context__, BrokenPipeError):
+            raise error.__context__ from None
+        raise
     return result if isinstance(result, int) else 0
 
 

@@ -2,6 +2,7 @@
 
 import sys
 import time
+from typing import TextIO
 
 _PERIOD_S = 0.2
 
@@ -10,7 +11,7 @@ class LiveLine:
     """Standard error's line. Where that is no terminal, or the data itself goes to the terminal, nothing is shown."""
 
     def __init__(self) -> None:
-        self._shown = sys.stderr.isatty() and not sys.stdout.isatty()
+        self._shown = _is_terminal(sys.stderr) and not _is_terminal(sys.stdout)
         self._next_s = 0.0
 
     def show(self, text: str) -> None:
@@ -23,3 +24,8 @@ class LiveLine:
         """Leave the line empty."""
         if self._shown:
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+
+
+def _is_terminal(stream: TextIO | None) -> bool:
+    """None: closed by `>&-`."""
+    return stream is not None and stream.isatty()

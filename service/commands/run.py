@@ -1,5 +1,6 @@
 """`terrabound run`: the service on the robot."""
 
+import contextlib
 import gc
 import sys
 import time
@@ -110,12 +111,18 @@ class _Console:
             self._say(f"terrabound: {name}: works again")
         self._told = failures
         if self._on_terminal:
-            print(f"\r\x1b[K{line}", end="", file=sys.stderr, flush=True)
+            self._print(f"\r\x1b[K{line}")
 
     def close(self) -> None:
         """Leave the line as it is."""
         if self._on_terminal:
-            print(file=sys.stderr)
+            self._print("\n")
 
     def _say(self, text: str) -> None:
-        print(f"\r\x1b[K{text}" if self._on_terminal else text, file=sys.stderr, flush=True)
+        self._print(f"\r\x1b[K{text}\n" if self._on_terminal else f"{text}\n")
+
+    @staticmethod
+    def _print(text: str) -> None:
+        # A log on a full disk, a pipe whose reader has left: no reason to end a drive.
+        with contextlib.suppress(OSError):
+            print(text, end="", file=sys.stderr, flush=True)

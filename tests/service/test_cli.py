@@ -180,6 +180,17 @@ def test_a_full_disk_is_one_line(recordings: Path, tmp_path: Path) -> None:
     assert "Exception" not in done.stderr
 
 
+@pytest.mark.parametrize("name", ["", "decode", "run", "emulate robot"])
+def test_a_reader_that_leaves_a_page_of_help_ends_it_quietly(name: str, tmp_path: Path) -> None:
+    """`| head -1` of any page, and a reader that takes nothing at all: 0, and not a word."""
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    command = [sys.executable, "-m", "service.cli", *name.split(), "--help"]
+    with os.fdopen(write_end, "wb") as nobody:
+        done = subprocess.run(command, stdout=nobody, stderr=subprocess.PIPE, text=True, timeout=100, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_ctrl_c_while_the_command_loads_is_one_line(tmp_path: Path) -> None:
     """The moment when the command line itself is still being loaded is no exception: 130, and no traceback."""
     library = tmp_path / "cyclopts.py"  # stands before the real one: Ctrl-C comes just as it is loaded
