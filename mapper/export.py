@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mapper.geotiff import write_geotiff
 from mapper.map_picture import write_png, write_verdicts
-from mapper.saved_map import MapFileError, SavedMap, save, write_whole
+from mapper.saved_map import MapFileError, SavedMap, save, save_layers, write_whole
 from mapper.traversability import RobotLimits, Traversability, Verdict, assess
 
 LayerName: TypeAlias = Literal["elevation", "step", "slope", "roughness", "passable"]
@@ -55,7 +55,7 @@ def _bounds(saved: SavedMap, found: Traversability, layer: str, output: Path) ->
     return {
         ".tif": lambda: write_geotiff(saved, bands, output, UNITS[layer]),
         ".png": lambda: write_png(bounds, output, layer, UNITS[layer]),
-        ".npz": lambda: save(bounds, output),
+        ".npz": lambda: save_layers(saved, {f"{layer}_low": low, f"{layer}_high": high}, output),
     }
 
 
@@ -67,6 +67,7 @@ def _passable_writers(saved: SavedMap, found: Traversability, output: Path) -> d
     return {
         ".tif": lambda: write_geotiff(saved, {"passable": values}, output),
         ".png": lambda: write_verdicts(saved, found.verdict, output),
+        ".npz": lambda: save_layers(saved, {"passable": values}, output),
     }
 
 

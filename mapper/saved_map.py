@@ -9,11 +9,11 @@ the last four are read too.
 
 import os
 import zipfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from mapper.tile import Tile
 
 _MOST_CELLS = 1 << 28
 _ENTRIES = ("low", "high", "resolution_m", "origin_m", "frame", "anchor")
+_BOUNDS = ("low", "high")
 _LATER_ENTRIES = ("surely_hit", "settled_low", "settled_high")
 """Layers, not in every file."""
 _GUARANTEE = "guarantee"
@@ -85,8 +86,13 @@ def assemble(tiles: Iterable[Tile], resolution_m: float, frame: str, anchor: str
 
 def save(saved: SavedMap, path: Path) -> None:
     """Write the file whole or not at all; the same map gives the same bytes."""
-    values = [(name, getattr(saved, name)) for name in (*_ENTRIES, *_LATER_ENTRIES)]
-    values.append((_GUARANTEE, saved.guarantee or None))
+    save_layers(saved, {name: getattr(saved, name) for name in (*_BOUNDS, *_LATER_ENTRIES)}, path)
+
+
+def save_layers(place: SavedMap, layers: Mapping[str, NDArray[Any] | None], path: Path) -> None:
+    """`save` with other layers [ny, nx], under names of their own; resolution, origin and frame are those of `place`."""
+    values = [*layers.items(), *((name, getattr(place, name)) for name in _ENTRIES if name not in _BOUNDS)]
+    values.append((_GUARANTEE, place.guarantee or None))
 
     def write(file: IO[bytes]) -> None:
         with zipfile.ZipFile(file, "w") as archive:
@@ -108,6 +114,8 @@ def load(path: Path) -> SavedMap:
         raise MapFileError(f"{path}: no terrain map: not an .npz file")
     try:
         with np.load(path, allow_pickle=False) as file:
+            if missing := [name for name in _ENTRIES if name not in file]:
+                raise ValueError(f"it holds {', '.join(file) or 'nothing'}; {', '.join(missing)} missing")
             low, high, resolution, origin, frame, anchor = (file[name] for name in _ENTRIES)
             later = [file.get(name) for name in _LATER_ENTRIES]
             guarantee = str(file.get(_GUARANTEE, ""))
@@ -121,8 +129,6 @@ def load(path: Path) -> SavedMap:
         return replace(saved, guarantee=guarantee)
     except FileNotFoundError:
         raise MapFileError(f"{path}: no such file") from None
-    except KeyError as error:
-        raise MapFileError(f"{path}: no terrain map: {error.args[0]}") from error
     except (OSError, ValueError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
         raise MapFileError(f"{path}: no terrain map: {error}") from error
 

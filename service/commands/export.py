@@ -34,7 +34,7 @@ def export(
     .tif is a GeoTIFF in the map's place on Earth: elevation_min, elevation_max, surely_hit, NaN where unseen.
     .ply is a mesh of the middle surface, a vertex for each seen cell with its bounds `low` and `high` beside x, y, z.
     .png is a picture of the middle and the width of the intervals (needs matplotlib: the extra `plots`).
-    .npz is readable with numpy alone.
+    .npz is readable with numpy alone: low and high, or step_low and step_high and so on, or passable.
 
     Parameters
     ----------

@@ -77,6 +77,23 @@ def test_layers_for_planners_are_exported(layer: str, suffix: str, map_file: Pat
     assert output.stat().st_size > 200
 
 
+@pytest.mark.parametrize(
+    ("layer", "names"), [("step", {"step_low", "step_high"}), ("slope", {"slope_low", "slope_high"}),
+                         ("roughness", {"roughness_low", "roughness_high"}), ("passable", {"passable"})],
+)  # fmt: skip
+def test_a_layer_as_npz_bears_its_own_names(
+    layer: str, names: set[str], map_file: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Nobody takes steps for elevations: they have the names of the layer, and are no map to be exported again."""
+    output = map_file.with_name("out.npz")
+    assert run_command(["export", str(map_file), str(output), "--layer", layer, "--length-m", "0.1"]) == 0
+    with np.load(output, allow_pickle=False) as file:
+        assert set(file) == names | {"resolution_m", "origin_m", "frame", "anchor"}
+        assert all(file[name].shape == LOW.shape for name in names)
+    assert run_command(["export", str(output), str(output.with_suffix(".ply"))]) == 1
+    assert "out.npz: no terrain map: it holds" in capfd.readouterr().err
+
+
 def test_a_map_without_a_place_says_so(map_file: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """A GeoTIFF of it is no lie about the Earth, and the person is told."""
     assert run_command(["export", str(map_file), str(map_file.with_name("out.tif"))]) == 0
