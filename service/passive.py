@@ -6,7 +6,7 @@ zero and bounds are placeholders. Guaranteed samples come from a configuration, 
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, Literal, Protocol, TypeAlias, TypeVar
@@ -26,10 +26,18 @@ from drivers.track_encoders.protocol import TrackEncoderProtocol
 Timed: TypeAlias = tuple[int, Sample]
 """A sample, and the nanoseconds that its line shall tell."""
 
+NO_LINE = "understood, but nothing in it makes a line; the counts tell why"
+_INTACT = ("telegrams", "frames", "sentences")
+
 _CANDUMP_LINE_BYTES = 256
 _CANDUMP = re.compile(rb"\(\d{1,10}\.\d{6,9}\) \S{1,32} [0-9A-Fa-f]{3,8}#")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 C = TypeVar("C")
+
+
+def understood(counts: Mapping[str, int]) -> bool:
+    """Was anything intact in the bytes? Not all that is makes a line: a receiver without satellites speaks, too."""
+    return any(counts.get(name) for name in _INTACT)
 
 
 class PassiveDecoder(Protocol):

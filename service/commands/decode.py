@@ -13,6 +13,7 @@ from drivers.sick_lms.telegrams import Variant
 from service.json_lines import counts_line, print_samples
 from service.live_line import LiveLine
 from service.passive import (
+    NO_LINE,
     EncodersFile,
     GpsFile,
     ImuFile,
@@ -21,15 +22,23 @@ from service.passive import (
     encoders_config,
     gps_config,
     read_dbc,
+    understood,
 )
 
 CHUNK_BYTES = 1 << 16
+_PACKETS = "they are a packet capture (pcap): give the bytes that the device sent, as `tshark -z follow,...,raw` does"
+_VECTOR = "they are a log of Vector's: python -m can.logconvert FILE drive.log (of python-can) makes one to decode"
 OTHER_FILES = {
     b"\x89MCAP": "it is a capture: terrabound replay",
     b"\x1f\x8b": "they are compressed: gzip -dc FILE | terrabound decode ... -",
     b"BZh": "they are compressed: bzip2 -dc FILE | terrabound decode ... -",
     b"\x28\xb5\x2f\xfd": "they are compressed: zstd -dc FILE | terrabound decode ... -",
     b"\xff\xfe": "they are text in UTF-16: give the bytes as the port gave them",
+    b"LOGG": _VECTOR,
+    b"date ": _VECTOR,
+    b"\xd4\xc3\xb2\xa1": _PACKETS,
+    b"\x4d\x3c\xb2\xa1": _PACKETS,
+    b"\x0a\x0d\x0d\x0a": _PACKETS,
 }
 """What files that people take for raw bytes begin with."""
 
@@ -144,10 +153,15 @@ def _decode(decoder: PassiveDecoder, file: Path) -> int:
     finally:
         live.clear()
         print(counts_line(byte_count, printed, decoder.counts), file=sys.stderr)
-    if byte_count and not printed:
-        why = next((what for magic, what in OTHER_FILES.items() if head.startswith(magic)), "are they of this device?")
-        print(f"terrabound: nothing in these bytes could be decoded; {why}", file=sys.stderr)
-    return 0
+    if printed:
+        return 0
+    if understood(decoder.counts):
+        print(f"terrabound: {file}: {NO_LINE}", file=sys.stderr)
+        return 0
+    why = next((what for magic, what in OTHER_FILES.items() if head.startswith(magic)), "are they of this device?")
+    said = f"nothing in these bytes could be decoded; {why}" if byte_count else "is empty; give a file of raw bytes"
+    print(f"terrabound: {file}: {said}", file=sys.stderr)
+    return 1
 
 
 def _open(file: Path) -> BufferedReader:

@@ -21,7 +21,7 @@ from service.devices import NOW_OR_LATER
 from service.json_lines import counts_line, print_samples
 from service.lifecycle import stop_on_signals
 from service.live_line import LiveLine
-from service.passive import encoders_config, gps_config, imu_config, laser_config, read_dbc
+from service.passive import NO_LINE, encoders_config, gps_config, imu_config, laser_config, read_dbc, understood
 
 LONGEST_READ_S = 0.05
 """A read returns at least this often, so that deadlines and Ctrl-C are seen."""
@@ -195,9 +195,13 @@ def _listen(
     if _halted(protocol):
         print(f"terrabound: {wire.port}: {getattr(protocol, 'state', '')}", file=sys.stderr)
         return 1
-    if not printed:
-        print(f"terrabound: {wire.port}: {_why_nothing(wire.byte_count, protocol)}", file=sys.stderr)
-    return 0
+    if printed:
+        return 0
+    if understood(protocol.counts):
+        print(f"terrabound: {wire.port}: {NO_LINE}", file=sys.stderr)
+        return 0
+    print(f"terrabound: {wire.port}: {_why_nothing(wire.byte_count, protocol)}", file=sys.stderr)
+    return 1
 
 
 class _Wire:

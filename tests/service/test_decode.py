@@ -173,10 +173,10 @@ def test_the_last_epoch_of_a_file_is_not_forgotten(decode: Decode, tmp_path: Pat
 
 
 def test_dirt_from_standard_input_is_counted_and_hinted_at() -> None:
-    """Bytes of something else end well, with no line, the count, and a hint."""
+    """Bytes of something else make no line: the count, a hint, and 1."""
     command = [sys.executable, "-m", "service.cli", "decode", "gps", "-"]
-    done = subprocess.run(command, input=bytes(range(256)) * 100, capture_output=True, timeout=60, check=True)
-    assert done.stdout == b""
+    done = subprocess.run(command, input=bytes(range(256)) * 100, capture_output=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout) == (1, b"")
     assert count_of("bytes", done.stderr.decode()) == 25600
     assert b"are they of this device?" in done.stderr
 
@@ -215,18 +215,33 @@ def scanner_bytes() -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("suffix", "told"), [(".gz", "gzip -dc FILE"), (".bz2", "bzip2 -dc FILE"), (".mcap", "replay")]
+    ("written", "told"),
+    [
+        (gzip.compress(bytes(1000)), "gzip -dc FILE"),
+        (bz2.compress(bytes(1000)), "bzip2 -dc FILE"),
+        (b"\x89MCAP0\r\n" + bytes(3), "replay"),
+        (b"LOGG" + bytes(140), "can.logconvert"),
+        (b"date Thu Nov 26 06:39:47.000 am 2026\nbase hex  timestamps absolute\n", "can.logconvert"),
+        (bytes.fromhex("d4c3b2a1020004000000000000000000ffff000001000000"), "packet capture"),
+        (b"", "is empty"),
+    ],
 )
 def test_files_that_are_no_raw_bytes_are_told_from_dirt(
-    suffix: str, told: str, decode: Decode, tmp_path: Path, recordings: Path
+    written: bytes, told: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """A compressed log, a capture: what to do with it."""
-    raw = (recordings / "nmea" / "ublox-8.log").read_bytes()
-    written = {".gz": gzip.compress(raw), ".bz2": bz2.compress(raw), ".mcap": b"\x89MCAP0\r\n" + raw[:3]}
-    (tmp_path / f"log{suffix}").write_bytes(written[suffix])
-    lines, counts = decode("gps", tmp_path / f"log{suffix}")
-    assert lines == []
-    assert told in counts
+    """A compressed log, a capture, other people's logs, nothing at all: what to do with it, and 1."""
+    (tmp_path / "log").write_bytes(written)
+    assert run_command(["decode", "gps", str(tmp_path / "log")]) == 1
+    output, said = capfd.readouterr()
+    assert (output, told in said) == ("", True), said
+
+
+def test_a_receiver_without_satellites_is_not_taken_for_dirt(decode: Decode, tmp_path: Path) -> None:
+    """Its sentences are intact, none makes a line, and that is what is said."""
+    (tmp_path / "indoors").write_bytes(b"".join(serialise(f"GPGGA,12000{s}.00,,,,,0,00,99.99,,,,,,") for s in range(9)))
+    lines, said = decode("gps", tmp_path / "indoors")
+    assert (lines, count_of("no_fix", said)) == ([], 9)
+    assert "understood, but nothing in it makes a line" in said
 
 
 def test_standard_input_that_is_closed_is_told() -> None:

@@ -99,11 +99,12 @@ def test_the_other_devices_are_heard_side_by_side(listen: Listen, tmp_path: Path
     assert all(fix["quality"] == 4 and min(fix["bound_m"]) > 0 for fix in fixes)
 
 
-def test_the_wrong_rate_is_hinted_at(listen: Listen, tmp_path: Path) -> None:
-    """Garbage makes no line; the hint names the rate."""
+def test_the_wrong_rate_is_hinted_at(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Garbage makes no line; the hint names the rate; 1."""
     with emulated(gps=tmp_path / "gps"):
-        fixes, told = listen("gps", tmp_path / "gps", "--baud", 9600, "--seconds", 1)
-    assert fixes == []
+        assert run_command(["listen", "gps", str(tmp_path / "gps"), "--baud", "9600", "--seconds", "3"]) == 1
+    fixes, told = capfd.readouterr()
+    assert fixes == ""
     assert "check the rate (--baud)" in told
 
 
