@@ -90,7 +90,7 @@ def save(saved: SavedMap, path: Path) -> None:
 
 
 def save_layers(place: SavedMap, layers: Mapping[str, NDArray[Any] | None], path: Path) -> None:
-    """`save` with other layers [ny, nx], under names of their own; resolution, origin and frame are those of `place`."""
+    """`save` with other layers [ny, nx], under names of their own; resolution, origin, frame are those of `place`."""
     values = [*layers.items(), *((name, getattr(place, name)) for name in _ENTRIES if name not in _BOUNDS)]
     values.append((_GUARANTEE, place.guarantee or None))
 
