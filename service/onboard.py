@@ -118,9 +118,9 @@ class Onboard:
         return self.readers.failure or self._failure
 
     def start(self) -> None:
-        """Open what must be there at once (capture file, network session), then begin to read and map.
+        """Open what must be there at once (the capture file), then begin to read and map.
 
-        Raises CaptureError or LinkError; ports may come and go later.
+        Raises CaptureError, or NotAnAddress; ports and network may come and go later.
         """
         if not self.readers.started:
             self.readers.open_recording()
@@ -161,6 +161,8 @@ class Onboard:
 
     def status_line(self) -> str:
         """Devices, scans, tiles, pose width: for systemctl and terminals; costs the same however large the map is."""
+        failure = self.publisher.failure
+        self.health.trouble("publishing", None if failure is None else f"{failure}; it is tried again, mapping goes on")
         pose, terrain = self.pipeline.filter.latest(), self.pipeline.map
         width = "no pose yet" if pose is None else f"pose +-{50 * float((pose.high[:3] - pose.low[:3]).max()):.0f} cm"
         mapped = f"{self.pipeline.counts['scans']} scans, {terrain.tile_count} tiles"

@@ -26,7 +26,7 @@ from service.periodic import Periodic
 from service.publish_config import PublishConfig
 from service.published_map import EarlierSubmap, PublishedMap, Recall, nothing_kept
 from service.published_state import PublishedState
-from service.session import AddressAway, ended_callback, open_session
+from service.session import NotAnAddress, ended_callback, open_session
 from service.session_ahead import SessionAhead
 from service.token_bucket import TokenBucket
 from service.topics import TILE, Topic, robot_key, tile_key, topic_key
@@ -103,9 +103,10 @@ class Publisher:
         self._state.submap = number
 
     def start(self) -> None:
-        """Open the session. Raises LinkError where its address is wrong or in use.
+        """Open the session. Raises NotAnAddress where its address is none.
 
-        An address that this host merely doesn't have yet (the radio is still coming up) is waited for in background.
+        One that can't be used now (another program listens there, the radio is still coming up) is waited for in
+        background: `failure` says so.
         """
         # A thread that is inside Zenoh when the interpreter ends would abort the process.
         atexit.register(self.close)
@@ -177,13 +178,11 @@ class Publisher:
                 with self._session() as session:
                     pause_s = FIRST_RETRY_S
                     self._serve(session)
-            except LinkError as error:
-                if not self._started.is_set() and not isinstance(error, AddressAway):
-                    self._refused = error
-                    self._started.set()
-                    return
-                self._session_failed(str(error))
-            except zenoh.ZError as error:
+            except NotAnAddress as error:
+                self._refused = error
+                self._started.set()
+                return
+            except (LinkError, zenoh.ZError) as error:
                 self._session_failed(str(error))
             except Exception as error:
                 # Whatever it is: mapping goes on, and a session is opened anew.

@@ -66,6 +66,7 @@ class Readers:
         self._loaded = loaded
         self._capture_path = capture
         self._capture: CaptureWriter | None = None
+        self._recording_is_ours = False
         self._pipe = RecordPipe()
         self._readers: list[Reader] = []
         self._conversations: list[Conversation] = []
@@ -99,6 +100,12 @@ class Readers:
 
             framed = can_frames(self.devices)
             self._capture = CaptureWriter(self._capture_path, self._loaded.text, self._loaded.dbc_text(), framed)
+            self._recording_is_ours = True
+
+    def forget_recording(self) -> None:
+        """After `close`: remove the capture's file, if there is one."""
+        if self._capture_path is not None and self._recording_is_ours:
+            self._capture_path.unlink(missing_ok=True)
 
     def start(self, acknowledge: Callable[[str, int], None] | None = None) -> None:
         """Open the ports and begin; ports may come and go later.

@@ -22,8 +22,8 @@ _RETRY = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor"
 Heard = TypeVar("Heard")
 
 
-class AddressAway(LinkError):
-    """An address to listen at that this host doesn't have now: it may come with the radio."""
+class NotAnAddress(LinkError):
+    """What no waiting mends. Every other LinkError may pass: the radio comes up, another program ends."""
 
 
 @contextmanager
@@ -39,8 +39,7 @@ def open_session(
     try:
         session = zenoh.open(config)
     except zenoh.ZError as error:
-        kind = AddressAway if "Cannot assign requested address" in str(error) else LinkError
-        raise kind(_advice(str(error), listen, connect)) from None
+        raise LinkError(_advice(str(error), listen, connect)) from None
     with session:
         yield session
 
@@ -69,7 +68,7 @@ def ended_callback(callback: Callable[[Heard], object]) -> Iterator["Callback[He
 def session_config(
     mode: Literal["peer", "client"], listen: Sequence[str] = (), connect: Sequence[str] = (), multicast: bool = False
 ) -> zenoh.Config:
-    """Settings of a session. Raises LinkError where an address isn't one."""
+    """Settings of a session. Raises NotAnAddress where an address isn't one."""
     config = zenoh.Config()
     settings = {
         "mode": mode,
@@ -91,7 +90,7 @@ def session_config(
             config.insert_json5(key, json.dumps([with_send_buffer(endpoint) for endpoint in endpoints]))
         except zenoh.ZError:
             named = ", ".join(endpoints)
-            raise LinkError(f"{named}: not an address; write it as tcp/192.168.1.5:7447") from None
+            raise NotAnAddress(f"{named}: not an address; write it as tcp/192.168.1.5:7447") from None
     return config
 
 
@@ -107,7 +106,7 @@ def _advice(cause: str, listen: Sequence[str], connect: Sequence[str]) -> str:
     # Zenoh names the endpoint that failed; its words end with a source file of its own, which helps nobody.
     named = next((endpoint for endpoint in (*listen, *connect) if endpoint in cause), ", ".join((*listen, *connect)))
     if "Address already in use" in cause:
-        return f"{named}: the address is in use; stop the program that listens there, or choose another `listen`"
+        return f"{named}: the address is in use; stop the program that listens there, or choose another publish.listen"
     if "Cannot assign requested address" in cause:
         return f"{named}: this host has no such address; look at `ip address`, or listen at tcp/0.0.0.0:7447"
     if "Unable to connect" in cause or "refused" in cause:

@@ -12,6 +12,7 @@ class Unpublished:
     ready = False
     takes_updates = False
     submap = 0
+    failure: str | None = None
 
     def offer_earlier(self, earlier: EarlierSubmaps) -> None:
         """Nobody is to receive it."""

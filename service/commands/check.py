@@ -19,6 +19,7 @@ from drivers.port_read import read_in_machine_code
 from drivers.protocol import DeviceProtocol
 from drivers.samples import Sample
 from service.commands.check_bounds import check_bounds
+from service.commands.check_outputs import output_problems
 from service.commands.line_rates import rate_that_is_understood
 from service.config import load_for_ports
 from service.devices import Device, wiring
@@ -48,7 +49,10 @@ def check(
 ) -> int:
     """Check the configuration, then listen to every device and say what is wrong and how to mend it.
 
-    Ends with 78 if the configuration is wrong, 1 if a device is missing or silent, 0 if all is well. With --bounds a
+    Tries as well whether recording, store and map can be written and the address be listened at.
+
+    Ends with 78 if the configuration is wrong, 1 if a device is missing or silent or anything else is amiss, 0 if all
+    is well. With --bounds a
     recorded drive is held against the declared bounds instead: 1 if it contradicts one.
 
     Parameters
@@ -92,7 +96,7 @@ def check(
         readers.stop()
         readers.close()
     table = Table("device", "state", "samples/s", "bytes/s", "damaged", Column("port", overflow="fold"), box=SIMPLE)
-    remarks, problems = [], []
+    remarks, problems = [], output_problems(loaded)
     for device, conversation in zip(devices, readers, strict=True):
         row = snapshot[device.name]
         if looks[device.name]:  # not what it was in the last instant, but what it mostly was of late
@@ -109,7 +113,7 @@ def check(
     for line in problems:
         console.print(line, style="red", markup=False, highlight=False, soft_wrap=True)
     if not problems:
-        console.print("all devices stream", style="green")
+        console.print("all devices stream, and what the service writes can be written", style="green")
     return 1 if problems else 0
 
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import gc
+import os
 import sys
 import time
 from datetime import UTC, datetime
@@ -9,10 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from drivers.clock import SystemClock
+from drivers.errors import CaptureError, ConfigurationError
 from service.config import LoadedConfig, load_for_ports
 from service.health import Health
 from service.lifecycle import ServiceNotifier, stop_on_signals
 from service.readers import Readers
+from service.session import NotAnAddress
 from service.session_ahead import SessionAhead
 
 if TYPE_CHECKING:
@@ -27,7 +30,7 @@ def run(*, config: Path) -> int:
     """Read the sensors, keep the pose set and the map, and stream tiles, until told to stop (SIGTERM, Ctrl-C).
 
     A device that is missing, busy or unplugged is named once, tried again until it is there, and mapping goes on with
-    what the others give as far as that goes.
+    what the others give as far as that goes. So it does where the address is in use, or nothing can be recorded.
 
     Parameters
     ----------
@@ -41,7 +44,10 @@ def run(*, config: Path) -> int:
         ahead = SessionAhead(loaded.config.publish)
         capture = None if record is None else unused_path(loaded.path(record), datetime.now(UTC))
         readers = Readers(loaded, SystemClock(), capture=capture)
-        readers.open_recording()
+        try:
+            readers.open_recording()
+        except CaptureError as error:  # the map is worth more than the recording
+            readers.health.trouble("recording", f"record.path: {error}; nothing is recorded until the next start")
         onboard = _onboard(loaded, readers, ahead)
         notifier.ready()
         console = _Console(onboard.health)
@@ -74,9 +80,12 @@ def _onboard(loaded: LoadedConfig, readers: Readers, ahead: SessionAhead) -> "On
         sys.setswitchinterval(SWITCH_S)
         onboard = Onboard(loaded, readers.clock, readers=readers, ahead=ahead)
         onboard.start()
-    except BaseException:
+    except BaseException as error:
         readers.stop()
         readers.close()
+        readers.forget_recording()  # of a service that never was
+        if isinstance(error, NotAnAddress):
+            raise ConfigurationError(f"{loaded.source}: publish: {error}") from None
         raise
     finally:
         gc.enable()
@@ -87,7 +96,7 @@ def unused_path(pattern: Path, now: datetime) -> Path:
     """The recording's path: `%Y`, `%H` and so on stand for the time (UTC); a number is added where the file exists."""
     path = pattern.with_name(now.strftime(pattern.name))
     number = 1
-    while path.exists():
+    while os.path.lexists(path):  # False in a folder that may not be looked into: opening the file will say so
         number += 1
         path = path.with_name(f"{Path(now.strftime(pattern.name)).stem}-{number}{pattern.suffix}")
     return path

@@ -1,6 +1,7 @@
 """`terrabound check` against the emulated robot, in real time."""
 
 import re
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -18,6 +19,7 @@ def test_a_robot_that_works_passes_and_a_missing_device_is_told(
     config = tmp_path / "robot.toml"
     # A busy machine emulates late, and what is too late is lost on the line: declared latencies leave room for it.
     text = shipped_config("demo.toml").read_text().replace("latency_ms = [0.0, 11.0]", "latency_ms = [0.0, 80.0]")
+    text = text.replace("tcp/127.0.0.1:7447", "tcp/127.0.0.1:0")
     config.write_text(text.replace("[38.0, 50.0]", "[0.0, 150.0]"))
     (tmp_path / "tracks.dbc").write_text(shipped_config("tracks.dbc").read_text())
     links = tmp_path / "ports"
@@ -41,6 +43,27 @@ def test_a_robot_that_works_passes_and_a_missing_device_is_told(
         finally:
             robot.terminate()
             robot.communicate(timeout=30)
+
+
+def test_what_the_service_could_not_write_is_told_before_the_drive(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Folders that are not there and an address in use, each by its key; nothing is created."""
+    (tmp_path / "tracks.dbc").write_text(shipped_config("tracks.dbc").read_text())
+    config = tmp_path / "robot.toml"
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        address = f"tcp/127.0.0.1:{other.getsockname()[1]}"
+        keep = '[record]\npath = "none/rec-%H.mcap"\n[store]\npath = "gone/map.db"\nmap = "map.npz"\n'
+        config.write_text(shipped_config("demo.toml").read_text().replace("tcp/127.0.0.1:7447", address) + keep)
+        assert run_command(["check", "--config", str(config), "--seconds", "0.1"]) == 1
+    said = capfd.readouterr().out
+    assert re.search(r"record\.path: .*/none/rec-\d\d\.mcap: can't be written: there is no folder", said)
+    assert "store.path: " in said
+    assert "store.map: " not in said
+    assert f"publish.listen: {address}: the address is in use" in said
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["robot.toml", "tracks.dbc"]
 
 
 def test_a_wrong_rate_is_found_and_named(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -153,21 +153,6 @@ def test_a_port_that_another_process_holds_is_named(folder: Path, capfd: pytest.
     port.close()
 
 
-def test_an_address_in_use_ends_the_service(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """The line names the address."""
-    import socket
-
-    with socket.socket() as other:
-        other.bind(("127.0.0.1", 0))
-        other.listen()
-        address = f"tcp/127.0.0.1:{other.getsockname()[1]}"
-        (folder / "robot.toml").write_text(DEMO.replace("tcp/127.0.0.1:7447", address))
-        done = terrabound(folder, "run", "--config", "robot.toml")
-    assert done.returncode == 1
-    assert f"{address}: the address is in use" in done.stderr
-    assert "Traceback" not in done.stderr
-
-
 def test_a_full_disk_is_one_line(recordings: Path, tmp_path: Path) -> None:
     """What can't be written ends the command without a traceback, also at the interpreter's end."""
     log = recordings / "nmea" / "ublox-8.log"

@@ -1,10 +1,11 @@
 """The publisher, seen from the wire: real sessions on loopback TCP."""
 
 import json
+import re
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 import numpy as np
 import pytest
@@ -280,13 +281,21 @@ def test_the_liveliness_token_stands_while_the_publisher_lives() -> None:
         assert gone.wait(WAIT_S)
 
 
-def test_an_address_in_use_is_named_with_what_to_do() -> None:
-    """The second publisher at one address says which address, what is wrong and how to mend it."""
-    with publishing() as (_, address):
+def test_an_address_in_use_is_named_with_what_to_do_and_taken_once_it_is_free() -> None:
+    """The second publisher at one address says which address, what is wrong and how to mend it, and goes on trying."""
+    with ExitStack() as first:
+        _, address = first.enter_context(publishing())
         second = Publisher(PublishConfig(listen=[address]), "rover")
-        with pytest.raises(LinkError, match=rf"{address}: the address is in use; stop .* or choose another `listen`"):
-            second.start()
-        second.close()
+        second.start()
+        try:
+            told = str(second.state()["failure"])
+            assert re.match(rf"{address}: the address is in use; stop .* or choose another publish\.listen", told), told
+            first.close()
+            assert second.offer(update(tile(3)))
+            assert second.flush(WAIT_S)
+            assert second.state()["failure"] is None
+        finally:
+            second.close()
 
 
 @pytest.mark.parametrize("address", ["7447", "tcp/127.0.0.1:99999999"])
