@@ -19,7 +19,8 @@ TEXT = f"""## The service, live
 
 `terrabound run` in a process of its own against the emulated robot of `terrabound demo`, in real time, without the
 lockstep clock: laser 180 degrees / 1 degree at 75 Hz and 500 kBd, 350 inertial packets, 100 encoder readings and 10
-fixes a second. CPU is that process's, all threads, as a share of one core. Latency runs from the read of the last byte
+fixes a second. It runs at the unit's `Nice` (root only), robot and subscriber at 0, all on
+the same cores. CPU is that process's, all threads, as a share of one core. Latency runs from the read of the last byte
 that a scan waited for (beyond the reordering window) to its tile at a subscriber in another process. A start is timed
 from the process's start to the first scan in the map, and to the first tile at a subscriber that was there before it;
 bytecode (as in any installed program) and machine code are on disk. It is the median of {STARTS}.

@@ -23,7 +23,7 @@ from service.messages import guarantee_message
 RATE_WINDOW_NS = 2_000_000_000
 """Rates are means over at least this long (and dirt this recent degrades a device)."""
 LIFE_TIMEOUT_NS = 8_000_000_000
-"""A reader looks up every 50 ms, and every 2 s while its port is away."""
+"""A reader looks up twice a second, and every 2 s while its port is away; who parses, every 50 ms."""
 FLOW_TIMEOUT_NS = 2_000_000_000
 """How long samples may lie before the pipeline takes one."""
 DIRT = ("bad_", "skipped_", "short_", "unknown_", "garbage", "framing_", "overrun", "rejected", "stuck")
@@ -119,7 +119,7 @@ class Health:
         self._answered_ns: int | None = None
         self._troubles: dict[str, str] = {}
         self._alive_ns: dict[str, int] = {}
-        """When each reader last looked up."""
+        """When each thread last looked up."""
 
     def watch(
         self,
@@ -209,10 +209,15 @@ class Health:
         """Do samples that arrive flow through the pipeline? Only then is the watchdog fed.
 
         Where no samples arrive (sensors unplugged or without power) nothing is owed: a restart would not bring
-        them back, and would cost the map. But every reader must be at work: one that hangs starves the flow.
+        them back, and would cost the map. But every thread must be at work: one that hangs starves the flow.
         """
         with self._lock:
             return self._flowing(now_ns)
+
+    def hung(self, now_ns: int) -> list[str]:
+        """Threads that have not looked up for too long: devices' readers, and `conversations`, which parses for all."""
+        with self._lock:
+            return self._hung(now_ns)
 
     def state(self, name: str, now_ns: int) -> DeviceState:
         """What a device does."""
@@ -223,8 +228,8 @@ class Health:
         """One line for `systemctl status`."""
         with self._lock:
             states = ", ".join(f"{name} {device.state(now_ns).lower()}" for name, device in self._devices.items())
-            guarantee, troubles = self._guarantee, list(self._troubles)
-        failing = "".join(f"{what} fails; " for what in troubles)
+            guarantee, troubles, hung = self._guarantee, list(self._troubles), self._hung(now_ns)
+        failing = "".join([*(f"{what} hangs; " for what in hung), *(f"{what} fails; " for what in troubles)])
         return failing + (states if guarantee.intact else f"bounds contradicted by {guarantee.sensor}; {states}")
 
     def snapshot(self, now_ns: int) -> dict[str, Any]:
@@ -244,8 +249,11 @@ class Health:
     def _flowing(self, now_ns: int) -> bool:
         if self._unanswered_ns is not None and now_ns - self._unanswered_ns > FLOW_TIMEOUT_NS:
             return False
+        return not self._hung(now_ns)
+
+    def _hung(self, now_ns: int) -> list[str]:
         # A copy first: a reader whose thread starts late adds its name meanwhile.
-        return all(now_ns - alive_ns <= LIFE_TIMEOUT_NS for alive_ns in list(self._alive_ns.values()))
+        return [name for name, alive_ns in list(self._alive_ns.items()) if now_ns - alive_ns > LIFE_TIMEOUT_NS]
 
     def _device(self, name: str, device: _Device, now_ns: int) -> dict[str, Any]:
         """One device's row of the snapshot."""

@@ -54,7 +54,7 @@ def test_the_service_is_hardened(unit: Path) -> None:
 
 
 def test_the_unit_says_what_the_program_relies_on() -> None:
-    """Notification, watchdog, exit code 78, unbuffered output, a cache for numba, memory it may execute."""
+    """Notification, watchdog, exit code 78, precedence, unbuffered output, a cache for numba, memory it may execute."""
     text = (FOLDER / "terrabound.service").read_text()
     settings = [line for line in text.splitlines() if line and not line.startswith(("#", "["))]
     for needed in (
@@ -62,6 +62,7 @@ def test_the_unit_says_what_the_program_relies_on() -> None:
         "NotifyAccess=main",
         "Restart=on-failure",
         "RestartPreventExitStatus=78",
+        "Nice=-10",
         "User=terrabound",
         "SupplementaryGroups=dialout",
         "Environment=PYTHONUNBUFFERED=1",
