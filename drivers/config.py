@@ -40,16 +40,18 @@ def _rising(value: tuple[float, float]) -> tuple[float, float]:
 
 MetresPerTick = Annotated[float, AfterValidator(_not_zero)]
 Resolution = Annotated[float, AfterValidator(_resolution)]
-TemperatureRange = Annotated[tuple[float, float], AfterValidator(_rising)]
+Rising = AfterValidator(_rising)
+"""Of a pair: [least, most]."""
+TemperatureRange = Annotated[tuple[float, float], Rising]
 """[least, most]"""
-LatencyMs = Annotated[tuple[NotNegative, NotNegative], AfterValidator(_rising)]
+LatencyMs = Annotated[tuple[NotNegative, NotNegative], Rising]
 """[least, most] from acquisition to the read; `most` counts READ_ALLOWANCE_NS, what is later than that is measured."""
 READ_ALLOWANCE_NS = 6_000_000
 """An idle reader looks at its port every 4 ms and takes a little to wake up."""
 
 
 _Turns = Annotated[float, Field(ge=-1000, le=1000)]
-MirrorPhaseMs = Annotated[tuple[_Turns, _Turns], AfterValidator(_rising)]
+MirrorPhaseMs = Annotated[tuple[_Turns, _Turns], Rising]
 
 
 def latency_ns(latency_ms: tuple[float, float]) -> tuple[int, int]:

@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self, TypeAlias
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from drivers.config import STRICT, NotNegative, Positive
+from drivers.config import STRICT, NotNegative, Positive, Rising
 
 SetName: TypeAlias = Literal["box", "ellipsoid"]
 
@@ -32,7 +32,7 @@ class RobotConfig:
     """|v_lateral| <= lateral_slip_ratio * |v| + turning_centre_m * |turn rate|."""
     turning_centre_m: NotNegative
     """Fore-aft offset of the instantaneous turning centre."""
-    turning_gauge_m: tuple[Positive, Positive] | None = None
+    turning_gauge_m: Annotated[tuple[Positive, Positive], Rising] | None = None
     """[least, most] distance between the tracks' turning centres, to either side of which a track doesn't slide along
     itself; at least the gauge, by calibration; it may change while driving. None: the tracks say nothing of yaw."""
     max_tilt_rate_dps: Positive | None = None

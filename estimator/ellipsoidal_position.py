@@ -143,7 +143,7 @@ class EllipsoidalPosition(PositionChain):
                 continue
             sound, shown = advance(
                 one.set, one.kept, turns.heading, turns.swing, before, start, after, bias, aged, step.attitude,
-                step.left, step.right, step.counted, step.time_high, step.telescoped, tuple(self.tracks),
+                step.left, step.right, step.counted, step.time_high, step.turning, step.telescoped, tuple(self.tracks),
                 first or one.first, one.place, one.yaw, self._core, self._pending, self.tube.box[here], turns.box,
                 turns.newest,
             )  # fmt: skip

@@ -49,7 +49,7 @@ def encoder_step(
     core: NDArray[np.float64],
     axis: NDArray[np.float64],
     pending: NDArray[np.float64],
-) -> tuple[int, int, bool, bool, float, float, int]:
+) -> tuple[int, int, bool, bool, float, float, float, int]:
     """travel: node i of the places [begin, i), at the true time of a reading in [earliest_ns, latest_ns].
 
     left, right: of the tracks since the reading before, in metres (`counted` False: unknown, the counter restarted;
@@ -60,7 +60,7 @@ def encoder_step(
 
     Returns the gyro nodes before and after the step; did the history reach so far back; did the tracks run no faster
     than the robot can (else they are taken as not counted); seconds of the step, at most; variation of the yaw rate's
-    integral (tracks.travel's turning_telescoped); turned_until.
+    integral, and the one that telescopes (tracks.travel's turning and turning_telescoped); turned_until.
     """
     bounds = TrackBounds(*tracks)
     began_ns = times[i - 1, 0]
@@ -97,7 +97,7 @@ def encoder_step(
     for c in range(6):
         swing[i, c] = swings[c]
         box[i, c, 0], box[i, c, 1] = widen((core[c, 0], core[c, 1]), pending[c])  # what is still to come undone
-    return a, b, remembered, sound, time_high, telescoped, until
+    return a, b, remembered, sound, time_high, turning, telescoped, until
 
 
 @compiled

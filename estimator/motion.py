@@ -48,7 +48,6 @@ CAREFUL = 0.2
 """rad: an excursion guessed larger than this is enclosed step by step."""
 QUANTUM = 2.0**-40
 """Variations are summed in whole numbers of this (rad), so that sums over hours are exact."""
-SECOND = 1e-9
 
 
 class GyroBounds(NamedTuple):
@@ -84,22 +83,29 @@ class TrackBounds(NamedTuple):
     most_acceleration: float
     most_track_acceleration: float
     """Of one track's travel: most_acceleration and half the gauge's turn acceleration."""
+    turning_spread: float = 0.0
+    """How far a track's turning centre can be from the middle of its range, as its travel shows it."""
+    most_turn_acceleration: float = 0.0
+    """rad/s^2, about z."""
 
     def __deepcopy__(self, memo: dict[int, object]) -> "TrackBounds":
         return self
 
 
 @compiled
-def variation(net: Interval, error: float, most_acceleration: float, time: float) -> float:
+def variation(net: Interval, error: float, most_acceleration: float, time: float, loose: float = 0.0) -> float:
     """Upper bound of the integral of |u| over `time`, where the integral of u is in [net] ± error, |du/dt| bounded.
 
     SMF equation 5: a rate that vanishes inside the step has a net integral of at most a T^2 / 2; if it changes its
     sign, variation - |net| is twice the smaller of the two areas, at most a T^2 / 4.
+
+    loose: u may differ from a rate with that bound by up to loose / T, and jump. Where it vanishes the other is at most
+    loose / T, so that |net| <= a T^2 / 2 + 2 loose; and either area is larger than the other's by `loose` at most.
     """
     square = up(up(most_acceleration * time) * time)
     total = up(mag(net) + error)
-    if down(mig(net) - error) <= 0.5 * square:
-        total = up(total + 0.25 * square)
+    if down(mig(net) - error) <= 0.5 * square + 2.0 * loose:
+        total = up(total + (0.25 * square + 2.0 * loose))
     return total
 
 

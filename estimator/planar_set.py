@@ -89,6 +89,7 @@ def advance(
     counted: bool,
     time_high: float,
     turning: float,
+    telescoped: float,
     bounds: tuple[float, ...],
     first: bool,
     place: int,
@@ -105,7 +106,7 @@ def advance(
     tuple.
     """
     tracks = TrackBounds(*bounds)
-    way = tracked(left, right, counted, time_high, tracks)
+    way = tracked(left, right, counted, turning, time_high, tracks)
     slope = headings[after, 1] - headings[start, 1]
     change = headings[after, 0] - headings[start, 0]
     error = up(abs(headings[after, 2] - headings[start, 2]))
@@ -115,7 +116,7 @@ def advance(
         e,
         HeadingStep(change, slope, error, inside, bias, aged),
         way,
-        up(up(tracks.lateral * way.path) + up(tracks.turning_centre * turning)),
+        up(up(tracks.lateral * way.path) + up(tracks.turning_centre * telescoped)),
         up(tracks.normal * way.path),
         (attitude[0, 0], attitude[0, 1]),
         (attitude[1, 0], attitude[1, 1]),

@@ -45,8 +45,9 @@ class Step(NamedTuple):
     """... if the counter didn't restart."""
     time_high: float
     """Seconds, at most."""
+    turning: float
+    """Variation of the yaw rate's integral, and the one that telescopes: see tracks.travel."""
     telescoped: float
-    """Variation of the yaw rate's integral, see tracks.travel."""
 
 
 class PositionChain:
@@ -60,7 +61,8 @@ class PositionChain:
         attitude: AttitudeChain,
         journal: Journal,
     ) -> None:
-        half_gauge = 0.5 * robot.track_gauge_m
+        least_gauge, most_gauge = robot.turning_gauge_m or (robot.track_gauge_m, robot.track_gauge_m)
+        not_slipping = max(1.0 - robot.slip_ratio, 0.1)
         self.tracks = TrackBounds(
             slip=robot.slip_ratio,
             lateral=robot.lateral_slip_ratio,
@@ -70,8 +72,12 @@ class PositionChain:
             quantum_right=abs(encoders.right_metres_per_tick) * encoders.quantisation_ticks,
             most_speed=robot.max_speed_mps,
             most_acceleration=robot.max_acceleration_mps2,
-            most_track_acceleration=(robot.max_acceleration_mps2 + half_gauge * attitude.gyro.most_acceleration)
-            / max(1.0 - robot.slip_ratio, 0.1),
+            most_track_acceleration=up(
+                up(robot.max_acceleration_mps2 + 0.25 * (least_gauge + most_gauge) * attitude.gyro.most_acceleration)
+                / not_slipping
+            ),
+            turning_spread=up(0.25 * (most_gauge - least_gauge) / not_slipping),
+            most_turn_acceleration=attitude.gyro.most_acceleration,
         )
         self.quantum = up(0.5 * up(self.tracks.quantum_left + self.tracks.quantum_right))
         """How far the mean of two differences of counts is off, in metres."""
@@ -104,7 +110,7 @@ class PositionChain:
         self._core[MAP] = -slack, slack
         self._core[EARTH] = -ANYWHERE_M, ANYWHERE_M
         self.last_ticks = ticks
-        self.ledger.step(ticks.stamp, 0.0, 0.0, False, 0.0)
+        self.ledger.step(ticks.stamp, 0.0, 0.0, False, 0.0, 0.0)
         return True
 
     def predict(self, ticks: WheelTicks) -> Step:
@@ -115,7 +121,7 @@ class PositionChain:
         counted = ticks.epoch == last.epoch
         left = (ticks.left - last.left) * self._left_m if counted else nan
         right = (ticks.right - last.right) * self._right_m if counted else nan
-        a, b, remembered, sound, time_high, telescoped, self._turned_until = encoder_step(
+        a, b, remembered, sound, time_high, turning, telescoped, self._turned_until = encoder_step(
             i, places.begin, ticks.stamp.earliest_ns, ticks.stamp.latest_ns, left, right, counted, self._fresh_count,
             self._turned_until, tuple(self.tracks), turns.begin, turns.end, turns.times, turns.box, turns.swing,
             turns.heading, turns.effort, attitude.bias, attitude.gyro.bias_drift, attitude.gyro.most_rate,
@@ -131,12 +137,12 @@ class PositionChain:
             counted = False
         self._fresh_count = not counted
         self.last_ticks = ticks
-        self.ledger.step(ticks.stamp, left, right, counted, time_high)
+        self.ledger.step(ticks.stamp, left, right, counted, turning, time_high)
         self.window.extend(
             self._core[LOCAL], self._axis[LOCAL], places.heading[i], self.quantum, attitude.bias[2],
             int(turns.times[turns.newest, 1]) * 1e-9,
         )  # fmt: skip
-        return Step(a, b, self._swept, left, right, counted, time_high, telescoped)
+        return Step(a, b, self._swept, left, right, counted, time_high, turning, telescoped)
 
     def contract(self, narrowed: NDArray[np.float64], yaws: NDArray[np.float64]) -> bool:
         """The newest place is in narrowed [6, 2], the newest yaws in [2, 2]; False, and all stays, if that can't be."""

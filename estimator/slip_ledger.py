@@ -22,8 +22,9 @@ from drivers.compiled import compiled
 from drivers.samples import Stamp
 from estimator.attitude import AttitudeChain
 from estimator.interval import Interval, mid, mig, mul, reach, sub, up, widen
-from estimator.motion import QUANTUM, TrackBounds, variation
+from estimator.motion import QUANTUM, TrackBounds
 from estimator.rate_integral import integral_between
+from estimator.tracks import to_and_fro
 
 BREAKS = 3
 
@@ -46,11 +47,11 @@ class SlipLedger:
         self._stamp: Stamp | None = None
         self._sums = np.zeros(4)
 
-    def step(self, stamp: Stamp, left: float, right: float, counted: bool, time_high: float) -> None:
+    def step(self, stamp: Stamp, left: float, right: float, counted: bool, turning: float, time_high: float) -> None:
         """A count further; not `counted`, or nearly as fast as the robot can: a stretch can't reach over it."""
         self._stamp = stamp
         if self._gauge is not None:
-            enter(self._sums, left, right, counted, time_high, self._bounds)
+            enter(self._sums, left, right, counted, turning, time_high, self._bounds)
 
     def mark(self) -> Mark | None:
         """A stretch begins at the newest count."""
@@ -85,15 +86,20 @@ class SlipLedger:
 
 @compiled
 def enter(
-    sums: NDArray[np.float64], left: float, right: float, counted: bool, time_high: float, tracks: tuple[float, ...]
+    sums: NDArray[np.float64],
+    left: float,
+    right: float,
+    counted: bool,
+    turning: float,
+    time_high: float,
+    tracks: tuple[float, ...],
 ) -> None:
     """One step more in sums [4]; its slips bounded as in `tracks.tracked`, which must not have cut the way short."""
     bounds = TrackBounds(*tracks)
     if not counted:
         sums[BREAKS] += 1.0
         return
-    a = variation((left, left), bounds.quantum_left, bounds.most_track_acceleration, time_high)
-    b = variation((right, right), bounds.quantum_right, bounds.most_track_acceleration, time_high)
+    a, b = to_and_fro(left, right, turning, time_high, bounds)
     if up(0.5 * abs(left + right) + up(bounds.slip * up(a + b))) >= bounds.most_speed * time_high:
         sums[BREAKS] += 1.0
     sums[0] += left

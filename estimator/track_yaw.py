@@ -30,9 +30,10 @@ from estimator.interval import (
     up,
     widen,
 )
-from estimator.motion import QUANTUM, TrackBounds, variation
+from estimator.motion import QUANTUM, TrackBounds
 from estimator.position import Step
 from estimator.rate_integral import partial
+from estimator.tracks import to_and_fro
 from estimator.tube import hull_between
 from estimator.turn_cusum import add_step, begin_sums
 
@@ -68,9 +69,8 @@ class TrackYaw:
             return
         self._left += step.left
         self._right += step.right
-        for way, quantum in ((step.left, self._tracks.quantum_left), (step.right, self._tracks.quantum_right)):
-            run = variation((way, way), quantum, self._tracks.most_track_acceleration, step.time_high)
-            self._way = up(self._way + run)
+        for way in to_and_fro(step.left, step.right, step.turning, step.time_high, self._tracks):
+            self._way = up(self._way + way)
         lasted_ns = stamp.earliest_ns - self._start.latest_ns
         if lasted_ns >= STRETCH_NS and (self._compare(self._start, stamp, self._gauge) or lasted_ns > LONGEST_NS):
             self._begin(stamp)

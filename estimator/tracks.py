@@ -35,16 +35,30 @@ class Tracked(NamedTuple):
 
 
 @compiled
-def tracked(left: float, right: float, counted: bool, time_high: float, bounds: TrackBounds) -> Tracked:
+def to_and_fro(left: float, right: float, turning: float, time_high: float, bounds: TrackBounds) -> tuple[float, float]:
+    """No less than either track ran between two counts, all ways added up; left and right: what they counted.
+
+    A track runs forward where the ground at its turning centre comes towards it: at v -+ ω (gauge / 2), and at no more
+    than that divided by 1 - slip. v and ω change as fast as declared, the gauge (if it has a range) at once: by what
+    that can do, |ω| times half of it, the speed is `loose`. turning: no less than the integral of |ω| meanwhile.
+    """
+    jerk = up(0.5 * up(up(bounds.most_turn_acceleration * time_high) * time_high))
+    loose = up(bounds.turning_spread * up(turning + jerk))
+    return (
+        variation((left, left), bounds.quantum_left, bounds.most_track_acceleration, time_high, loose),
+        variation((right, right), bounds.quantum_right, bounds.most_track_acceleration, time_high, loose),
+    )
+
+
+@compiled
+def tracked(left: float, right: float, counted: bool, turning: float, time_high: float, bounds: TrackBounds) -> Tracked:
     """From the tracks' travel in metres between two counts (not `counted`: unknown, the counter restarted)."""
     q = up(0.5 * up(bounds.quantum_left + bounds.quantum_right))
     most = up(bounds.most_speed * time_high)
     if not counted:
         return Tracked((-most, most), most, q, False)
-    slip = up(
-        variation((left, left), bounds.quantum_left, bounds.most_track_acceleration, time_high)
-        + variation((right, right), bounds.quantum_right, bounds.most_track_acceleration, time_high)
-    )
+    left_way, right_way = to_and_fro(left, right, turning, time_high, bounds)
+    slip = up(left_way + right_way)
     d = scale(0.5, add(outward(left, left), outward(right, right)))
     distance = meet(widen(d, up(up(0.5 * bounds.slip) * slip)), (-up(most + q), up(most + q)))
     path = min(variation(distance, q, bounds.most_acceleration, time_high), most)
@@ -87,7 +101,7 @@ def travel(
     """
     box = attitude_box(attitude)
     ahead, sideways, upward = columns(box)
-    travelled, path, q, counted = tracked(left, right, counted, time_high, bounds)
+    travelled, path, q, counted = tracked(left, right, counted, turning, time_high, bounds)
     if is_empty(travelled):
         return False
     q_now = q if counted else 0.0

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from drivers.compiled import compiled
 from estimator.interval import Interval, down, mid, mul, reach, up
-from estimator.motion import QUANTUM, TrackBounds, variation
+from estimator.motion import QUANTUM, TrackBounds
 from estimator.rate_integral import partial
+from estimator.tracks import to_and_fro
 from estimator.tube import first_not_before, last_not_after
 
 NEVER = -1e9
@@ -60,10 +61,10 @@ def add_step(
         begin_sums(sums)
         return 0.0
     c = mid(gauge)
-    slack = up(reach(gauge, c) * ((effort[b, 2] - effort[a, 2]) * QUANTUM))
-    for way, quantum in ((left, bounds.quantum_left), (right, bounds.quantum_right)):
-        run = variation((way, way), quantum, bounds.most_track_acceleration, time_high)
-        slack = up(slack + up(bounds.slip * run))
+    turning = (effort[b, 2] - effort[a, 2]) * QUANTUM
+    slack = up(reach(gauge, c) * turning)
+    for way in to_and_fro(left, right, turning, time_high, bounds):
+        slack = up(slack + up(bounds.slip * way))
     slack = up(slack + 1e-12 * (abs(left) + abs(right)))
     least = most = 0.0
     for i in range(a_after + 1, b + 1):

@@ -187,8 +187,32 @@ def test_travel_encloses_drives_with_slip_and_quantised_counts(reverse: bool) ->
 @pytest.mark.parametrize("turn_m", [0.05, -0.05])
 def test_tracks_that_run_against_each_other_slip_each_by_their_own_way(turn_m: float) -> None:
     """On the spot the mean of the counts is zero, but not that of the slips: the robot may creep ahead or back."""
-    held = tracked(-turn_m, turn_m, True, 0.1, TRACKS).distance
+    held = tracked(-turn_m, turn_m, True, 2.0 * turn_m / 0.35, 0.1, TRACKS).distance
     for left in (-1.0, 1.0):
         for right in (-1.0, 1.0):
             crept = 0.5 * (-turn_m * (1.0 + left * TRACKS.slip) + turn_m * (1.0 + right * TRACKS.slip))
             assert held[0] <= crept <= held[1]
+
+
+def test_tracks_whose_turning_centres_jump_slip_by_no_more_than_is_allowed_for() -> None:
+    """A track near its turning point runs to and fro as often as the centre moves; each bit of that way may slip."""
+    random, time, substeps = np.random.default_rng(3), 0.02, 100
+    slip, (least, most) = 0.1, (0.35, 0.6)
+    tracks = TRACKS._replace(
+        slip=slip, quantum_left=0.0, quantum_right=0.0, most_track_acceleration=(1.0 + 0.2375 * ALPHA) / (1.0 - slip),
+        turning_spread=0.25 * (most - least) / (1.0 - slip), most_turn_acceleration=ALPHA,
+    )  # fmt: skip
+    outside = 0
+    for trial in range(2000):
+        rate = random.uniform(-1.5, 1.5)
+        speed = random.choice([-0.5, 0.5]) * rate * random.uniform(0.9 * least, 1.1 * most)
+        often = random.random(substeps) < 0.5 if trial % 2 else np.arange(substeps) < random.integers(substeps)
+        gauge = np.where(often, least, most)
+        ground = speed + rate * 0.5 * np.outer((-1.0, 1.0), gauge)
+        ran = ground / (1.0 + slip * random.choice([-1.0, 1.0]) * np.sign(ground))
+        left, right = (ran.sum(axis=1) * time / substeps).tolist()
+        held = tracked(left, right, True, abs(rate) * time, time, tracks).distance
+        assert held[0] <= speed * time <= held[1]
+        held = tracked(left, right, True, abs(rate) * time, time, tracks._replace(turning_spread=0.0)).distance
+        outside += not held[0] <= speed * time <= held[1]
+    assert outside > 100  # as if the centres stood still

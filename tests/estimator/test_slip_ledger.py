@@ -49,7 +49,7 @@ def drive(law: str, seed: int, gauge_m: tuple[float, float] | None = (0.35, 0.35
         ran = ran + run
         count = np.array([floor(way / TICK_M) for way in ran]) * TICK_M
         left, right = (count - counted).tolist()
-        ledger.step(stamp, left, right, k > 0, STEP_S)
+        ledger.step(stamp, left, right, k > 0, abs(turning) * STEP_S, STEP_S)
         if since is not None:
             slipped += speed * STEP_S - 0.5 * float(run.sum())
             bound += 0.5 * ROBOT.slip_ratio * float(np.abs(count - counted).sum() + 2.0 * TICK_M)

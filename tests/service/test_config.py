@@ -63,6 +63,7 @@ def test_all_mistakes_come_at_once() -> None:
         ("gyro_scale_bound = 0.002", "gyro_scale_bound = 2.0", "devices.imu.gyro_scale_bound"),  # meant in percent
         ("clock_drift_ppm = 50.0", "clock_drift_ppm = 1e6", "devices.imu.clock_drift_ppm"),
         ("\nslip_ratio = 0.02", "\nslip_ratio = 2.0", "robot.slip_ratio"),
+        ("turning_gauge_m = [0.35, 0.35]", "turning_gauge_m = [0.6, 0.35]", "robot.turning_gauge_m"),
         ("mount_pitch_deg = -10.0", "mount_pitch_deg = 1000.0", "devices.laser.mount_pitch_deg"),
         ("tcp/127.0.0.1:7447", "http://127.0.0.1:7447", "publish.listen.0"),
         ("tcp/127.0.0.1:7447", "tcp/127.0.0.1:74470", "publish.listen.0"),
