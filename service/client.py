@@ -34,6 +34,7 @@ MAX_TILES = 65_536
 """Memory cap: 2 GiB. Tiles beyond it are counted, not kept."""
 FIRST_RETRY_S, LAST_RETRY_S = 0.2, 1.0
 MAX_LATENCIES = 100_000
+MAX_HOSTS = 64
 
 
 class RemoteMap:
@@ -65,6 +66,8 @@ class RemoteMap:
         """Of each submap, also of those that earlier runs left, as last asked for."""
         self.health: Mapping[str, Any] = {}
         self.info: Mapping[str, Any] = {}
+        self._hosts: dict[str, str] = {}
+        """Where each run that was heard runs, by epoch."""
         self._locators = [locators] if isinstance(locators, str) else list(locators)
         self._ring = ring
         self._multicast = multicast
@@ -127,6 +130,19 @@ class RemoteMap:
         if bounds is None:
             return "unknown"
         return "intact" if bounds.intact else f"contradicted by {bounds.sensor or 'a sensor'}"
+
+    @property
+    def rival(self) -> str | None:
+        """A sentence where two services lately published under the robot's name; None where one alone does."""
+        with self._changed:
+            rival = self._copy.run.rival(time.monotonic_ns())
+            if rival is None:
+                return None
+            followed, other = (self._hosts.get(epoch or "", "unknown") for epoch in (self._copy.run.epoch, rival))
+        return (
+            f"two services publish as {self.robot!r}: the copy is of the one on the host {followed}, but poses and "
+            f"health are of both, also of the one on the host {other}; set another robot.name in one, or stop it"
+        )
 
     def promised(self, place: TileId) -> bool:
         """Is all that the copy holds of this tile from before the time since when the bounds are in doubt?"""
@@ -282,14 +298,14 @@ class RemoteMap:
             if found[1].startswith("map/"):
                 self._take_tile(sample, now_ns)
             else:
-                self._take_topic(found[1], bytes(sample.payload))
+                self._take_topic(found[1], bytes(sample.payload), now_ns)
         except (MalformedMessage, TileFormatError):
             with self._changed:
                 self.counts["malformed"] += 1
         with self._changed:
             self._changed.notify_all()
 
-    def _take_topic(self, name: str, payload: bytes) -> None:
+    def _take_topic(self, name: str, payload: bytes, now_ns: int) -> None:
         """Pose, anchor, health, info or digest."""
         if name == POSE.name:
             self.pose = read_pose(payload)
@@ -302,14 +318,24 @@ class RemoteMap:
         elif name == HEALTH.name:
             self.health = read_plain(payload)
         elif name == INFO.name:
-            self.info = read_plain(payload)
+            self._take_info(read_plain(payload))
         elif name == DIGEST.name:
             part = read(DigestPart, payload)
             with self._changed:
-                self._copy.take_digest(part)
+                self._copy.take_digest(part, now_ns)
                 self._changed.notify_all()
         else:
             self.counts["unknown_topic"] += 1
+
+    def _take_info(self, info: Mapping[str, Any]) -> None:
+        """What a run says of itself; of one that is not followed any more, who it is."""
+        with self._changed:
+            epoch = str(info.get("epoch"))
+            if len(self._hosts) >= MAX_HOSTS and epoch not in self._hosts:
+                self._hosts.clear()
+            self._hosts[epoch] = str(info.get("host", "unknown"))
+            if not self._copy.run.left(epoch):
+                self.info = info
 
     def _take_tile(self, sample: zenoh.Sample, now_ns: int) -> None:
         """Join a tile or a delta."""
@@ -317,4 +343,4 @@ class RemoteMap:
         with self._changed:
             if note.released_ns is not None:
                 self._latencies_ns.append(now_ns - note.released_ns)
-            self._copy.take_tile(tile, note)
+            self._copy.take_tile(tile, note, now_ns)

@@ -19,6 +19,7 @@ from service.messages import (
     digest_root,
     guarantee_from,
 )
+from service.rivals import FollowedRun
 
 
 class CopiedMap:
@@ -47,7 +48,7 @@ class CopiedMap:
         self.digest_count = 0
         self._counts = counts
         self._max_tiles = max_tiles
-        self._epoch: str | None = None
+        self.run = FollowedRun()
         self._crcs: dict[TileId, int] = {}
         self._beams_until_ns: dict[TileId, int | None] = {}
         self._root: tuple[int, int] | None = None
@@ -75,9 +76,10 @@ class CopiedMap:
 
     # Tiles
 
-    def take_tile(self, tile: Tile, note: TileNote) -> None:
+    def take_tile(self, tile: Tile, note: TileNote, now_ns: int) -> None:
         """Join a tile or a delta."""
-        self._enter_epoch(note.epoch)
+        if not self._follows(note.epoch, now_ns):
+            return
         self._take_guarantee(tile, note)
         self.join(tile)
 
@@ -86,7 +88,7 @@ class CopiedMap:
 
         Unless ours has grown since it was listed: then it may be ahead of the answer, which travels behind newer tiles.
         """
-        if note.epoch != self._epoch:
+        if note.epoch != self.run.epoch:
             return
         place, crc = TileId(tile.submap, tile.ix, tile.iy), content_crc(tile)
         self._take_guarantee(tile, note)
@@ -129,11 +131,17 @@ class CopiedMap:
         if tile.submap >= max((place.submap for place in self.tiles), default=0):
             self.take_guarantee(guarantee_from(note.guarantee))
 
-    def _enter_epoch(self, epoch: str) -> None:
-        """Another run of the publisher is another map, in another frame perhaps: begin anew."""
-        if epoch == self._epoch:
-            return
-        first, self._epoch = self._epoch is None, epoch
+    def _follows(self, epoch: str, now_ns: int) -> bool:
+        """Is this the run that is followed? Another one is another map, in another frame perhaps: begin anew."""
+        before = self.run.epoch
+        if not self.run.hear(epoch, now_ns):
+            self._counts["left_epoch"] += 1
+            return False
+        if epoch != before:
+            self._begin_anew(first=before is None)
+        return True
+
+    def _begin_anew(self, first: bool) -> None:
         self._counts["epochs"] += 1
         self.tiles.clear()
         self._crcs.clear()
@@ -150,9 +158,10 @@ class CopiedMap:
 
     # Digests
 
-    def take_digest(self, part: DigestPart) -> None:
+    def take_digest(self, part: DigestPart, now_ns: int) -> None:
         """Compare the copy with what the robot says it has."""
-        self._enter_epoch(part.epoch)
+        if not self._follows(part.epoch, now_ns):
+            return
         self.final = part.final
         self._root = (part.tiles, part.root)
         equal = self._equals_digest()

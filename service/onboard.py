@@ -162,7 +162,8 @@ class Onboard:
     def status_line(self) -> str:
         """Devices, scans, tiles, pose width: for systemctl and terminals; costs the same however large the map is."""
         failure = self.publisher.failure
-        self.health.trouble("publishing", None if failure is None else f"{failure}; it is tried again, mapping goes on")
+        told = self.publisher.rival if failure is None else f"{failure}; it is tried again, mapping goes on"
+        self.health.trouble("publishing", told)
         pose, terrain = self.pipeline.filter.latest(), self.pipeline.map
         width = "no pose yet" if pose is None else f"pose +-{50 * float((pose.high[:3] - pose.low[:3]).max()):.0f} cm"
         mapped = f"{self.pipeline.counts['scans']} scans, {terrain.tile_count} tiles"

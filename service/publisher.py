@@ -26,6 +26,7 @@ from service.periodic import Periodic
 from service.publish_config import PublishConfig
 from service.published_map import EarlierSubmap, PublishedMap, Recall, nothing_kept
 from service.published_state import PublishedState
+from service.rivals import OwnName, this_host
 from service.session import NotAnAddress, ended_callback, open_session
 from service.session_ahead import SessionAhead
 from service.token_bucket import TokenBucket
@@ -64,6 +65,8 @@ class Publisher:
         """Names this run: subscribers begin anew when it changes."""
         self.failure: str | None = None
         """Why there is no session at present."""
+        self.rival: str | None = None
+        """What is to be said of another publisher of this name, while one is heard."""
         self._config = config
         self._ahead = ahead
         self._robot = robot
@@ -79,10 +82,12 @@ class Publisher:
         self._earlier_offered: Mapping[int, EarlierSubmap] = {}
         # The publisher thread's own:
         about = {"robot": robot, "epoch": self.epoch, "frame": MAP_FRAME, "format": "docs/tile-format.md"}
+        about |= {"host": this_host()}
         about |= {} if info is None else dict(info)
         published = PublishedMap(recall, tiles_in_memory)
         self._state = PublishedState(self.epoch, about, published, self.counts, self.state)
         self._bucket = TokenBucket(config.max_bytes_per_s)
+        self._own_name = OwnName(robot, self.epoch)
         self._answers = Answers(robot, self._state, self._bucket, self.counts)
         self._update: MapUpdate | None = None
         """The one whose tiles are being sent."""
@@ -164,6 +169,7 @@ class Publisher:
         return {
             "open": self._started.is_set() and self.failure is None,
             "failure": self.failure,
+            "rival": self.rival,
             "tiles_not_recalled": self._state.map.not_recalled,
             **self.counts,
         }
@@ -213,6 +219,7 @@ class Publisher:
             ended_callback(self._ask) as ask,
             session.declare_queryable(f"{robot_key(self._robot)}/**", ask),
             session.liveliness().declare_token(robot_key(self._robot)),
+            self._own_name.listening(session),
         ):
             self.failure = None
             self._started.set()
@@ -291,6 +298,7 @@ class Publisher:
         """Pose, anchor, health, info and digest, each when it is due, and all at the end."""
         ending = self._flush_wanted and self._update is None and self.ready
         if self._periodic.send(partial(self._put, session), now_s, ending):
+            self.rival = self._own_name.rival(time.monotonic_ns())
             with self._wake:
                 if self._flush_wanted and self._state.final and self._slot is None:
                     self._flush_wanted, self._flushed = False, True

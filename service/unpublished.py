@@ -13,6 +13,7 @@ class Unpublished:
     takes_updates = False
     submap = 0
     failure: str | None = None
+    rival: str | None = None
 
     def offer_earlier(self, earlier: EarlierSubmaps) -> None:
         """Nobody is to receive it."""

@@ -43,6 +43,7 @@ def watch(
     """
     refuse_unwritable((map, report))
     console = Console(stderr=True)
+    warned: str | None = None
     with stop_on_signals() as ended, RemoteMap(connect, robot=robot) as remote:
         if once:
             synced = remote.wait_complete(FINAL_SYNC_S)
@@ -50,13 +51,18 @@ def watch(
             with Live(_table(remote), console=console, refresh_per_second=2, transient=True) as live:
                 while not ended.wait(0.5):
                     live.update(_table(remote))
+                    rival = remote.rival
+                    if rival != warned:
+                        console.print(f"terrabound: {rival or 'one service alone publishes, again'}", soft_wrap=True)
+                        warned = rival
             synced = remote.wait_in_sync(FINAL_SYNC_S)
         held = sorted({place.submap for place in remote.tiles})
         missing = submap is not None and submap not in held
         if map is not None and not missing and (synced or held):  # an empty copy of nothing spoils no earlier one
             remote.save(map, submap)
         if report is not None:
-            report.write_text(json.dumps({"in_sync": synced, "latency_ms": remote.latencies_ms(), **remote.stats()}))
+            received = {"in_sync": synced, "latency_ms": remote.latencies_ms(), "rival": remote.rival, **remote.stats()}
+            report.write_text(json.dumps(received))
         console.print(_table(remote))
     if not synced:
         why = (

@@ -25,12 +25,12 @@ def note(guarantee: Guarantee, epoch: str = "one", beams_until_ns: int = 3) -> T
 def test_a_tile_that_was_slow_does_not_take_a_doubt_back() -> None:
     """A pose overtakes tiles: one that was sent while all was well doesn't say that all is well again."""
     copy = CopiedMap(Counter(), 8)
-    copy.take_tile(a_tile(), note(INTACT))
+    copy.take_tile(a_tile(), note(INTACT), 0)
     copy.take_guarantee(VOID)
-    copy.take_tile(a_tile(), note(INTACT, beams_until_ns=7))
+    copy.take_tile(a_tile(), note(INTACT, beams_until_ns=7), 0)
     assert copy.guarantee == VOID
     assert not copy.promised(TileId(0, 0, 0))
-    copy.take_tile(a_tile(), note(RESTORED))
+    copy.take_tile(a_tile(), note(RESTORED), 0)
     assert copy.guarantee == RESTORED
     copy.take_answer(a_tile(), note(INTACT))
     copy.take_guarantee(INTACT)
@@ -40,8 +40,8 @@ def test_a_tile_that_was_slow_does_not_take_a_doubt_back() -> None:
 def test_another_run_of_the_robot_is_believed_anew() -> None:
     """Its frame, its tiles and its guarantee are its own."""
     copy = CopiedMap(Counter(), 8)
-    copy.take_tile(a_tile(), note(VOID))
-    copy.take_tile(a_tile(1), note(INTACT, epoch="two"))
+    copy.take_tile(a_tile(), note(VOID), 0)
+    copy.take_tile(a_tile(1), note(INTACT, epoch="two"), 0)
     assert copy.guarantee == INTACT
 
 
@@ -61,10 +61,10 @@ def test_an_answer_that_newer_tiles_overtook_takes_nothing_back() -> None:
     """Answers travel behind tiles: one that is as the digest listed it is older than what came since."""
     copy, lost, newer = CopiedMap(Counter(), 8), part_of(1.0, 1), part_of(2.0, 2)
     copy.introduced = True
-    copy.take_tile(part_of(0.0, 0), note(INTACT))
+    copy.take_tile(part_of(0.0, 0), note(INTACT), 0)
     listed = join(part_of(0.0, 0), lost)
-    copy.take_digest(listing(listed))
-    copy.take_tile(newer, note(INTACT))
+    copy.take_digest(listing(listed), 0)
+    copy.take_tile(newer, note(INTACT), 0)
     copy.take_answer(listed, note(INTACT))
     assert content_crc(copy.tiles[TileId(0, 0, 0)]) == content_crc(join(listed, newer))
 
@@ -73,8 +73,8 @@ def test_what_the_robot_does_not_have_is_replaced_once_the_link_is_quiet() -> No
     """A copy that holds too much claims more than the robot's map: after a digest and an answer it is the robot's."""
     copy, true = CopiedMap(Counter(), 8), part_of(0.0, 0)
     copy.introduced = True
-    copy.take_tile(join(true, part_of(5.0, 9)), note(INTACT))
-    copy.take_digest(listing(true))
+    copy.take_tile(join(true, part_of(5.0, 9)), note(INTACT), 0)
+    copy.take_digest(listing(true), 0)
     copy.take_answer(true, note(INTACT))
     assert content_crc(copy.tiles[TileId(0, 0, 0)]) == content_crc(true)
     assert copy.in_sync
