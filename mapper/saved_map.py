@@ -12,6 +12,7 @@ import zipfile
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from math import inf, isfinite
 from pathlib import Path
 from typing import IO, Any
 
@@ -126,11 +127,28 @@ def load(path: Path) -> SavedMap:
                 raise ValueError(f"{name} is {layer.dtype} {list(layer.shape)}")
         x, y = (float(value) for value in origin)
         saved = SavedMap(low, high, float(resolution), (x, y), str(frame), str(anchor), *later)
-        return replace(saved, guarantee=guarantee)
+        saved = replace(saved, guarantee=guarantee)
+        _expect_numbers_of_a_map(saved)
+        return saved
     except FileNotFoundError:
         raise MapFileError(f"{path}: no such file") from None
     except (OSError, ValueError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
         raise MapFileError(f"{path}: no terrain map: {error}") from error
+
+
+def _expect_numbers_of_a_map(saved: SavedMap) -> None:
+    """Raise ValueError where cells have no size or place, or what is neither unseen nor an interval."""
+    if not (0.0 < saved.resolution_m < inf and all(map(isfinite, saved.origin_m))):
+        raise ValueError(f"cells of {saved.resolution_m} m from {saved.origin_m} on")
+    if (saved.settled_low is None) != (saved.settled_high is None):
+        raise ValueError("one of settled_low and settled_high is missing")
+    for name, low, high in (("", saved.low, saved.high), ("settled_", saved.settled_low, saved.settled_high)):
+        if low is not None and high is not None:
+            wrong = ~((-inf < low) & (low <= high) & (high < inf) | np.isnan(low) & np.isnan(high))
+            if wrong.any():
+                row, column = np.argwhere(wrong)[0].tolist()
+                found = f"{name}low {low[row, column]}, {name}high {high[row, column]}"
+                raise ValueError(f"{np.count_nonzero(wrong)} cells are no intervals, as [{row}, {column}]: {found}")
 
 
 def write_whole(path: Path, write: Callable[[IO[bytes]], None]) -> None:

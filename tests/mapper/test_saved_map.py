@@ -6,6 +6,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ def a_tile(ix: int, iy: int, seed: int = 0) -> Tile:
     return Tile(0, ix, iy, 0.1, low, high)
 
 
+LAYERS = ("low", "high", "settled_low", "settled_high")
 TILES = (a_tile(-2, 1), a_tile(0, 0), a_tile(1, -1))
 
 
@@ -139,6 +141,35 @@ def test_files_that_are_no_map_are_named(tmp_path: Path) -> None:
     for name in ("absent", "cut", "empty", "text", "other", "plain", "odd"):
         with pytest.raises(MapFileError, match=rf"{name}\.npz"):
             load(tmp_path / f"{name}.npz")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ({"resolution_m": 0.0}, "cells of 0.0 m"),
+        ({"resolution_m": float("nan")}, "cells of nan m"),
+        ({"origin_m": (float("inf"), 0.0)}, "(inf, 0.0)"),
+        ({"low": 2.0}, r"1 cells are no intervals, as [2, 1]: low 2.0, high 1.0"),
+        ({"low": float("nan")}, "low nan, high 1.0"),
+        ({"high": float("inf")}, "high inf"),
+        ({"settled_high": -1.0}, "settled_low 0.0, settled_high -1.0"),
+        ({"settled_high": None}, "one of settled_low and settled_high is missing"),
+    ],
+)
+def test_numbers_that_are_no_map_are_told(tmp_path: Path, wrong: dict[str, Any], told: str) -> None:
+    """Somebody else's file may hold anything: the first cell that can't be is named, no program stumbles over it."""
+    bounds = {
+        name: np.full((4, 3), value, np.float32) for name, value in zip(LAYERS, (0.0, 1.0, 0.0, 1.0), strict=True)
+    }
+    for name, value in wrong.items():
+        if name in bounds and value is not None:
+            bounds[name][2, 1] = value
+    numbers = {name: value for name, value in wrong.items() if name not in bounds or value is None}
+    about = {"resolution_m": 0.1, "origin_m": (0.0, 0.0), "frame": "map", "anchor": ""}
+    save(SavedMap(**{**bounds, **about, **numbers}), tmp_path / "m.npz")
+    with pytest.raises(MapFileError) as caught:
+        load(tmp_path / "m.npz")
+    assert told in str(caught.value)
 
 
 def test_tiles_too_far_apart_for_one_rectangle_are_refused() -> None:
