@@ -119,6 +119,8 @@ def turn_node(
     if not still_level:
         heading[i, 2] += LOST_YAW
         for c in range(box.shape[1]):
+            # Whatever a reading says of this node, nothing is known of the way to it.
+            swing[i, c] = 2.0 * (UNKNOWN_TILT if c < 2 else UNKNOWN_YAW)
             if c < 2:
                 box[i, c, 0], box[i, c, 1] = -UNKNOWN_TILT, UNKNOWN_TILT
             elif level:
