@@ -13,7 +13,8 @@ import numpy as np
 
 from drivers.compiled import compiled_without_heap
 from mapper.config import ContactConfig
-from mapper.kernel import WORK_SIZE, Bits, Cells, Counts, Flags, Indices, Keys, locate_block, touch_block
+from mapper.footprints import Indices, locate_block
+from mapper.kernel import WORK_SIZE, Bits, Cells, Counts, Flags, Keys, touch_block
 from mapper.laser_geometry import G_LEVER, G_LEVER_BOUND, G_MATRIX, G_SIZE, GROW, Floats, measure_lever
 from mapper.pose_terms import P_HIGH, P_LOW, P_USABLE, W_ROWS, Singles, prepare_pose
 from mapper.projection import B_X0, B_X1, B_Y0, B_Y1, B_Z0, B_Z1, LANES, box

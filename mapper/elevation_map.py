@@ -22,6 +22,7 @@ from mapper.beam_order import BeamOrder, plain, rising
 from mapper.bound_arrays import bind
 from mapper.config import MapConfig
 from mapper.contact import insert_patches, track_patches
+from mapper.footprints import FATES
 from mapper.grid import TILE_SIDE, tile_indices, tile_key
 from mapper.laser_geometry import G_SIZE, Floats, laser_geometry
 from mapper.pose_terms import P_SIZE
@@ -139,7 +140,7 @@ class ElevationMap:
     @property
     def counts(self) -> Counter[str]:
         """Beams by fate since the start, named as in InsertResult; `tiles_left_out` by `join`."""
-        fates = self._numbers[kernel.N_TOTALS :][: kernel.FATES]
+        fates = self._numbers[kernel.N_TOTALS :][:FATES]
         totals = InsertResult(int(fates.sum()), *fates.tolist())
         return Counter(totals._asdict() | {"tiles_left_out": self._tiles_left_out})
 

@@ -6,13 +6,11 @@ when no tile is ready for use the call returns early; the caller makes more read
 hull taken twice changes nothing).
 """
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.compiled import compiled, compiled_into_callers, compiled_without_heap
-from mapper.beam_order import BY_BEAM, BY_DIRECTION, BY_ORDER, BY_POSE, STEP, put_in_order
+from mapper.beam_order import BY_BEAM, BY_DIRECTION, BY_ORDER, BY_POSE, put_in_order
 from mapper.bound_arrays import Bound, counts, flags, floats, integers, singles, words
 from mapper.cell_blocks import (
     ALIGNED_CELLS,
@@ -21,23 +19,44 @@ from mapper.cell_blocks import (
     ROW_BYTES,
     WIDE_CELLS,
     WIDE_WINDOW_BYTES,
-    WINDOW_BYTES,
     hull_blocks,
     hull_blocks_unseen,
     hull_wide_blocks,
     hull_wide_blocks_unseen,
 )
-from mapper.fused import fused
-from mapper.grid import CELL_LIMIT, TILE_CELLS, TILE_SHIFT, TILE_SIDE, tile_key
+from mapper.footprints import (
+    BEYOND_CAP,
+    FATES,
+    IN_TILE,
+    NO_POSE,
+    NO_RANGE,
+    S_FATE,
+    S_FIRST,
+    S_I0,
+    S_I1,
+    S_IX,
+    S_IY,
+    S_J0,
+    S_J1,
+    S_LAST,
+    S_ONE_CELL,
+    S_PLACE,
+    S_ROWS,
+    S_WINDOW,
+    SPANS_SIZE,
+    USED,
+    Indices,
+    place_block,
+)
+from mapper.grid import TILE_CELLS, TILE_SHIFT, TILE_SIDE, tile_key
 from mapper.laser_geometry import Floats, usable_range
-from mapper.pose_terms import P_HIGH, P_LOW, P_SIZE, P_USABLE, W_ROWS, Singles, prepare_pose
-from mapper.projection import B_X0, B_X1, B_Y0, B_Y1, B_Z0, B_Z1, LANES, box_block, run_length
+from mapper.pose_terms import P_SIZE, P_USABLE, W_ROWS, prepare_pose
+from mapper.projection import box_block, run_length
 
 WORK_SIZE = 4 * W_ROWS
 
 Cells = NDArray[np.float32]
 """The pool: [tiles, planes, TILE_FLOATS]. One plane, or one for tiles joined and one for each time slot."""
-Indices = NDArray[np.int32]
 Counts = NDArray[np.int64]
 Keys = NDArray[np.uint64]
 Flags = NDArray[np.bool_]
@@ -60,56 +79,17 @@ POOL_FULL = np.int64(-2)
 
 # The numbers that the kernel and its caller share: one row of int64. First what became of this call's beams, then of
 # all beams so far.
-USED = 0
-NO_RANGE = 1
-NO_POSE = 2
-TOO_WIDE = 3
-TOO_FAR = 4
-BEYOND_CAP = 5
-FATES = 6
 N_TILES = FATES  # in use
 N_READY = FATES + 1  # in use, or unseen everywhere and for use
 N_MOST = FATES + 2  # the memory cap
 N_TOTALS = FATES + 3
 N_SIZE = N_TOTALS + FATES
 
-# Where the beams of a block end in the grid: rows of LANES int32. First the cells, ...
-S_FATE, S_I0, S_I1, S_J0, S_J1 = (row * LANES for row in range(5))
-# ... then, for what lies in one tile, which (else NOWHERE), the first block's place in it in bytes, how many rows, and
-# from there the first and last column; of a footprint in one block, too, which window of it (cell_blocks.py).
-S_IX, S_IY, S_PLACE, S_ROWS, S_FIRST, S_LAST, S_WINDOW = (row * LANES for row in range(5, 12))
-S_ONE_CELL = 12 * LANES
-"""1 for a footprint that is used and reaches but one cell."""
-# Behind them ix, iy and number of four tiles.
-S_NEIGHBOURS = 13 * LANES
+# Behind the spans of a block (footprints.py): ix, iy and number of four tiles.
+S_NEIGHBOURS = SPANS_SIZE
 S_SIZE = S_NEIGHBOURS + 12
-NOWHERE = np.int32(-(1 << 31))
 NO_TILE = np.int32(1 - (1 << 31))
 """In place of a tile's ix, iy; no footprint's, unlike NOWHERE."""
-_INDEX_LIMIT = float(CELL_LIMIT)
-_IN_TILE = TILE_SIDE - 1
-"""The bits of a cell's number that say where in its tile it is."""
-
-# Rounding to float32 errs by at most 2^-24 of the value, so twice that, added first, makes it round up. The constant
-# does it near zero (and is no subnormal, which some processors flush to zero).
-_UP = 2.0**-23
-_UP_NEAR_ZERO = 2.0**-100
-# The same of a float32 sum, which has erred by 2^-24 before, and again in each of two steps.
-_STEP_UP: Any = np.float32(2.0**-22)
-_UP_NEAR_ZERO_SINGLE: Any = np.float32(_UP_NEAR_ZERO)
-_OUTWARD = 2.0**-21
-_FARTHEST, _FARTHEST_REACH = CELL_LIMIT - (1 << 24), np.float32(1 << 24)
-"""Cells from the map's origin to the pose, and from the pose to where a beam hits: together fewer than CELL_LIMIT."""
-_FARTHEST_UP_M = 1e9
-_ZERO: Any = np.float32(0.0)
-_USED, _NO_RANGE, _TOO_WIDE, _TOO_FAR = (np.int32(fate) for fate in (USED, NO_RANGE, TOO_WIDE, TOO_FAR))
-_NOTHING, _ONE_CELL = np.int32(0), np.int32(1)
-
-
-@compiled_into_callers
-def round_up(value: float) -> np.float32:
-    """A float32 not below `value`."""
-    return np.float32(value + abs(value) * _UP + _UP_NEAR_ZERO)
 
 
 @compiled_into_callers
@@ -145,106 +125,6 @@ def rebuild_table(tiles: int, table: Indices, keys: Keys) -> None:
     """Enter the first `tiles` keys into an empty table."""
     for tile in range(tiles):
         table[find_slot(keys[tile], table, keys)] = tile + 1
-
-
-@compiled_without_heap
-def place_block(
-    pose: Floats,
-    count: int,
-    boxes: Singles,
-    inverse: float,
-    max_footprint_m: float,
-    spans: Indices,
-    heights: Cells,
-) -> None:
-    """Where the boxes that `box_block` left lie in the grid: counted in float32 from the cell that holds the pose.
-
-    Each beam's fate, its cells (first and last column i and row j) and its interval: -low, high, as cells have them.
-    What is not USED has cells too, somewhere: no conversion to integers is undefined, and nobody reads them.
-    """
-    column, x_low, x_high = from_its_cell(pose[P_LOW], pose[P_HIGH], inverse)
-    row, y_low, y_high = from_its_cell(pose[P_LOW + 1], pose[P_HIGH + 1], inverse)
-    z_low, z_high = round_up(-pose[P_LOW + 2]), round_up(pose[P_HIGH + 2])
-    singles_of_all: Any = np.float32(inverse), np.float32(max_footprint_m * inverse)
-    in_cells, widest = singles_of_all
-    far = _USED
-    level = pose[P_LOW + 2] > -_FARTHEST_UP_M and pose[P_HIGH + 2] < _FARTHEST_UP_M
-    if abs(column) >= _FARTHEST or abs(row) >= _FARTHEST or not level:
-        far = _TOO_FAR
-    for n in range((count + STEP - 1) & -STEP):
-        x0, x1 = fused(boxes[B_X0 + n], in_cells, x_low), fused(boxes[B_X1 + n], in_cells, x_high)
-        y0, y1 = fused(boxes[B_Y0 + n], in_cells, y_low), fused(boxes[B_Y1 + n], in_cells, y_high)
-        z0, z1 = boxes[B_Z0 + n], boxes[B_Z1 + n]
-        near = (x0 > -_FARTHEST_REACH) & (x1 < _FARTHEST_REACH) & (y0 > -_FARTHEST_REACH) & (y1 < _FARTHEST_REACH)
-        near &= (z0 > -_FARTHEST_REACH) & (z1 < _FARTHEST_REACH)
-        fate = far if near else _TOO_FAR
-        fate = fate if (x1 - x0 <= widest) & (y1 - y0 <= widest) else _TOO_WIDE
-        fate = fate if x0 == x0 else _NO_RANGE
-        heights[2 * n], heights[2 * n + 1] = sum_up(z_low, -z0), sum_up(z_high, z1)
-        i0, i1 = np.int32(np.floor(x0 if near else _ZERO)), np.int32(np.floor(x1 if near else _ZERO))
-        j0, j1 = np.int32(np.floor(y0 if near else _ZERO)), np.int32(np.floor(y1 if near else _ZERO))
-        i0, i1, j0, j1 = np.int32(column + i0), np.int32(column + i1), np.int32(row + j0), np.int32(row + j1)
-        note(n, fate, i0, i1, j0, j1, spans)
-
-
-@compiled_into_callers
-def from_its_cell(low: float, high: float, inverse: float) -> tuple[Any, Any, Any]:
-    """The cell that holds `low`; from that cell's border to `low` and to `high`, in cells, as float32 outward."""
-    if not (low * inverse > -_INDEX_LIMIT and high * inverse < _INDEX_LIMIT):
-        return np.int32(CELL_LIMIT), _ZERO, _ZERO
-    cell = np.floor(low * inverse)
-    return (
-        np.int32(cell),
-        np.float32(low * inverse - cell - _OUTWARD),
-        np.float32((high * inverse - cell) * (1.0 + _OUTWARD) + _OUTWARD),
-    )
-
-
-@compiled_into_callers
-def sum_up(a: Any, b: Any) -> Any:
-    """A float32 not below the sum of two."""
-    total = a + b
-    return fused(abs(total), _STEP_UP, total) + _UP_NEAR_ZERO_SINGLE
-
-
-@compiled_without_heap
-def locate_block(
-    count: int, inverse: float, max_footprint_m: float, block: Floats, spans: Indices, heights: Cells
-) -> None:
-    """The same of `count` boxes in the map frame, in float64: least and most x, y, z, rows of LANES [B_SIZE]."""
-    widest = max_footprint_m * inverse
-    for n in range(count):
-        x0, y0, z0 = block[B_X0 + n] * inverse, block[B_Y0 + n] * inverse, block[B_Z0 + n]
-        x1, y1, z1 = block[B_X1 + n] * inverse, block[B_Y1 + n] * inverse, block[B_Z1 + n]
-        near = (x0 > -_INDEX_LIMIT) & (x1 < _INDEX_LIMIT) & (y0 > -_INDEX_LIMIT) & (y1 < _INDEX_LIMIT)
-        near &= (z0 * inverse > -_INDEX_LIMIT) & (z1 * inverse < _INDEX_LIMIT)
-        fate = _USED if near else _TOO_FAR
-        fate = fate if (x1 - x0 <= widest) & (y1 - y0 <= widest) else _TOO_WIDE
-        fate = fate if x0 == x0 else _NO_RANGE
-        heights[2 * n], heights[2 * n + 1] = round_up(-z0), round_up(z1)
-        i0, i1 = np.int32(np.floor(x0 if near else 0.0)), np.int32(np.floor(x1 if near else 0.0))
-        j0, j1 = np.int32(np.floor(y0 if near else 0.0)), np.int32(np.floor(y1 if near else 0.0))
-        note(n, fate, i0, i1, j0, j1, spans)
-
-
-@compiled_into_callers
-def note(n: int, fate: np.int32, i0: np.int32, i1: np.int32, j0: np.int32, j1: np.int32, spans: Indices) -> None:
-    """A beam's fate and cells, and what follows from them. Each step ends in an int32, or vectors would be of int64."""
-    spans[S_FATE + n], spans[S_I0 + n], spans[S_I1 + n] = fate, i0, i1
-    spans[S_J0 + n], spans[S_J1 + n] = j0, j1
-    ix, iy = np.int32(i0 >> TILE_SHIFT), np.int32(j0 >> TILE_SHIFT)
-    elsewhere = np.int32(np.int32(np.int32(i0 ^ i1) | np.int32(j0 ^ j1)) & ~_IN_TILE)
-    spans[S_IX + n], spans[S_IY + n] = ix if np.int32(elsewhere | fate) == _NOTHING else NOWHERE, iy
-    first = np.int32(i0 & (ALIGNED_CELLS - 1))
-    last = np.int32(np.int32(i1 - i0) + first)
-    column = np.int32(np.int32(i0 & _IN_TILE) - first)
-    spans[S_PLACE + n] = np.int32(np.int32(j0 & _IN_TILE) * ROW_BYTES) + np.int32(column * CELL_BYTES)
-    spans[S_ROWS + n], spans[S_FIRST + n], spans[S_LAST + n] = np.int32(j1 - j0) + 1, first, last
-    window = np.int32(np.int32(np.int32(first * BLOCK_CELLS) + last) * WINDOW_BYTES)
-    wide_window = np.int32(np.int32(np.int32(first * WIDE_CELLS) + last) * WIDE_WINDOW_BYTES)
-    spans[S_WINDOW + n] = window if last < BLOCK_CELLS else wide_window
-    several = np.int32(np.int32(i1 - i0) | np.int32(j1 - j0))
-    spans[S_ONE_CELL + n] = _ONE_CELL if np.int32(several | fate) == _NOTHING else _NOTHING
 
 
 @compiled_into_callers
@@ -315,9 +195,9 @@ def touch_block(
             i0, i1 = int(spans[S_I0 + lane]), int(spans[S_I1 + lane])
             j, j1 = int(spans[S_J0 + lane]), int(spans[S_J1 + lane])
             while j <= j1:
-                j_last, i = min(j1, j | _IN_TILE), i0
+                j_last, i = min(j1, j | IN_TILE), i0
                 while i <= i1:
-                    i_last, other_ix, other_iy = min(i1, i | _IN_TILE), i >> TILE_SHIFT, j >> TILE_SHIFT
+                    i_last, other_ix, other_iy = min(i1, i | IN_TILE), i >> TILE_SHIFT, j >> TILE_SHIFT
                     if other_ix != ix or other_iy != iy:
                         other = neighbour_at(other_ix, other_iy, spans, numbers, table, keys)
                         if other == LEFT_OUT:
@@ -330,8 +210,8 @@ def touch_block(
                             return lane
                         ix, iy, tile, changed = np.int32(other_ix), np.int32(other_iy), other, dirty[other]
                         tile_address = plane_address + np.uint64(tile * stride)
-                    row, block = j & _IN_TILE, i & -ALIGNED_CELLS
-                    place = np.uint64(row * ROW_BYTES + (block & _IN_TILE) * CELL_BYTES)
+                    row, block = j & IN_TILE, i & -ALIGNED_CELLS
+                    place = np.uint64(row * ROW_BYTES + (block & IN_TILE) * CELL_BYTES)
                     first, last = i - block, i_last - block
                     changed = hull_cells(tile_address + place, j_last - j + 1, first, last, interval, changed)
                     i = i_last + 1
@@ -360,7 +240,7 @@ def neighbour_at(ix: int, iy: int, spans: Indices, numbers: Counts, table: Indic
 @compiled_into_callers
 def mark_surely_hit(lane: int, spans: Indices, sure: Bits) -> bool:
     """The hit is in this cell: the footprint reaches no other. Is that news?"""
-    row, bit = spans[S_J0 + lane] & _IN_TILE, np.uint64(1) << np.uint64(spans[S_I0 + lane] & _IN_TILE)
+    row, bit = spans[S_J0 + lane] & IN_TILE, np.uint64(1) << np.uint64(spans[S_I0 + lane] & IN_TILE)
     before = sure[row]
     sure[row] = before | bit
     return before & bit == np.uint64(0)  # type: ignore[no-any-return]

@@ -22,9 +22,6 @@ from drivers.compiled import compiled
 from mapper.grid import TILE_CELLS, TILE_SIDE, tile_corner_m
 from mapper.tile import NO_CELL, NOWHERE, Flags, Layer, Tile, snapped_down, snapped_up, unseen_tile
 
-ENCODING = "application/protobuf;foxglove.Grid+zstd"
-"""Zenoh's encoding string of a tile."""
-
 _COMPRESSOR = zstd.ZstdCompressor(level=1)
 """Each call makes a frame of its own."""
 _LARGEST_PAYLOAD = 63 * 1024

@@ -8,8 +8,9 @@ slots agree on.
 import numpy as np
 
 from drivers.compiled import compiled, compiled_unlocked
+from mapper.footprints import Indices
 from mapper.grid import TILE_CELLS, TILE_SIDE, tile_key
-from mapper.kernel import UNSEEN, Bits, Cells, Counts, Flags, Indices, Keys, tile_at
+from mapper.kernel import UNSEEN, Bits, Cells, Counts, Flags, Keys, tile_at
 from mapper.tile import Layer
 
 NOTHING = np.uint32(0x7FC00000).view(np.float32)

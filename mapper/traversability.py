@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.compiled import compiled, compiled_unlocked
-from mapper.kernel import round_up
+from mapper.footprints import round_up
 from mapper.saved_map import SavedMap
 
 Layer = NDArray[np.float32]

@@ -22,7 +22,7 @@ from bench.baselines.tiled_layers import TiledLayers
 from drivers.compiled import compiled, compiled_without_heap
 from drivers.config import LaserConfig
 from drivers.samples import Scan
-from mapper import kernel
+from mapper import footprints, kernel
 from mapper.beam_order import BY_BEAM, BY_DIRECTION, BY_ORDER, BY_POSE, BeamOrder, put_in_order
 from mapper.bound_arrays import Bound, bind, counts, floats, integers, singles, words
 from mapper.grid import CELL_LIMIT, TILE_CELLS, TILE_SHIFT, TILE_SIDE, tile_key
@@ -79,15 +79,15 @@ def fuse_beams(
     while first < ranges.size:
         m, count = pose_index[first], run_length(first, pose_index)
         if m < 0 or m >= means.shape[0]:
-            numbers[kernel.NO_POSE] += count
+            numbers[footprints.NO_POSE] += count
         else:
             point_block(poses[m], narrow[m], geometry, first, count, beams, directions, points, spreads)
             for n in range(count):
                 x, y = points[N_CENTRE + n] * inverse, points[N_CENTRE + LANES + n] * inverse
                 if not usable_range(ordered[first + n], geometry):
-                    numbers[kernel.NO_RANGE] += 1
+                    numbers[footprints.NO_RANGE] += 1
                 elif not (abs(x) < limit and abs(y) < limit):
-                    numbers[kernel.TOO_FAR] += 1
+                    numbers[footprints.TOO_FAR] += 1
                 else:
                     i, j = int(np.floor(x)), int(np.floor(y))
                     key = tile_key(i >> TILE_SHIFT, j >> TILE_SHIFT)
@@ -95,13 +95,13 @@ def fuse_beams(
                     if last_tile < 0 or key != last_key:
                         tile = kernel.tile_at(key, numbers, table, keys)
                     if tile < 0:
-                        numbers[kernel.BEYOND_CAP] += 1
+                        numbers[footprints.BEYOND_CAP] += 1
                     else:
                         last_key, last_tile = key, tile
                         z, variance = points[N_CENTRE + 2 * LANES + n], float(spreads[N_P + 5 * LANES + n])
                         at = (j & _IN_TILE) * TILE_SIDE + (i & _IN_TILE)
                         fuse(pool[tile], at, z, variance, travelled_m, growth, pool.shape[1])
-                        numbers[kernel.USED] += 1
+                        numbers[footprints.USED] += 1
         first += count
 
 

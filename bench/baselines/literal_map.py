@@ -22,7 +22,7 @@ from bench.baselines.tiled_layers import TiledLayers
 from drivers.compiled import compiled, compiled_unlocked
 from drivers.config import LaserConfig
 from drivers.samples import Scan
-from mapper import kernel
+from mapper import footprints, kernel
 from mapper.beam_order import BY_BEAM, BY_ORDER, BY_POSE, BeamOrder, put_in_order
 from mapper.bound_arrays import Bound, bind, counts, flags, floats, integers, singles, words
 from mapper.grid import TILE_SIDE
@@ -78,13 +78,13 @@ def insert_literally(
     while n < ranges.size:
         m, count = pose_index[n], run_length(n, pose_index)
         if m < 0 or m >= pose_low.shape[0]:
-            numbers[kernel.NO_POSE] += count
+            numbers[footprints.NO_POSE] += count
         else:
             if natural:
                 natural_block(poses[m], geometry, n, count, ordered, intervals, block)
             else:
                 first_order_block(poses[m], geometry, n, count, ordered, beams[0], beams[1], block)
-            kernel.locate_block(count, 1.0 / limits[0], limits[1], block, spans, heights)
+            footprints.locate_block(count, 1.0 / limits[0], limits[1], block, spans, heights)
             kernel.touch_block(count, 0, True, spans, heights, numbers, table, keys, dirty, pool, sure)
         n += count
 

@@ -34,7 +34,7 @@ from bench.baselines.tiled_layers import TiledLayers
 from drivers.compiled import compiled, compiled_without_heap
 from drivers.config import LaserConfig
 from drivers.samples import Scan
-from mapper import kernel
+from mapper import footprints, kernel
 from mapper.beam_order import BY_BEAM, BY_DIRECTION, BY_ORDER, BY_POSE, STEP, BeamOrder, put_in_order
 from mapper.bound_arrays import Bound, bind, counts, floats, integers, singles, words
 from mapper.grid import CELL_LIMIT, TILE_CELLS, TILE_SHIFT, TILE_SIDE, tile_key
@@ -126,15 +126,15 @@ def mix_block(
     last_key, last_tile = np.uint64(0), np.int64(-1)
     for n in range(count):
         if not usable_range(ranges[first + n], geometry):
-            numbers[kernel.NO_RANGE] += 1
+            numbers[footprints.NO_RANGE] += 1
             continue
         y, x = points[N_CENTRE + BEAMS + n] * inverse, points[N_CENTRE + n] * inverse
         sigma, turn, scatter = float(given[V_ROW_SIGMA + n]), float(given[V_TURN + n]), float(given[V_SCATTER + n])
         if given[V_NARROW + n] != 1.0:  # NaN too
-            numbers[kernel.TOO_WIDE] += 1
+            numbers[footprints.TOO_WIDE] += 1
             continue
         if not (abs(x) + MOST_CELLS < CELL_LIMIT and abs(y) + MOST_CELLS < CELL_LIMIT):
-            numbers[kernel.TOO_FAR] += 1
+            numbers[footprints.TOO_FAR] += 1
             continue
         j0, j1 = int(np.floor(y - CUT * sigma)), int(np.floor(y + CUT * sigma))
         step, across = given[V_PER_SIGMA + n], given[V_PER_SCATTER + n]
@@ -147,7 +147,7 @@ def mix_block(
                 masses(shares_at + np.uint64(4 * k), F32((i0 + k - x) * across), F32(across))
         slope_x, slope_y = given[V_SLOPE_X + n] * resolution_m, given[V_SLOPE_Y + n] * resolution_m
         z, variance = points[N_CENTRE + 2 * BEAMS + n], given[V_VARIANCE + n]
-        fate = kernel.USED
+        fate = footprints.USED
         for j in range(j0, j1 + 1):
             # Phi and density of 16 borders lie in groups of 32 numbers.
             k = j - j0
@@ -167,7 +167,7 @@ def mix_block(
                 if last_tile < 0 or key != last_key:
                     tile = kernel.neighbour_at(i >> TILE_SHIFT, j >> TILE_SHIFT, tiles, numbers, table, keys)
                     if tile < 0:
-                        fate, i = kernel.BEYOND_CAP, i_last + 1
+                        fate, i = footprints.BEYOND_CAP, i_last + 1
                         continue
                     last_key, last_tile = key, tile
                 cell = (j & _IN_TILE) * TILE_SIDE + (i & _IN_TILE)
@@ -206,7 +206,7 @@ def mix_beams(ranges: Floats, means: Floats, covariances: Floats, order: Bound, 
     while n < ranges.size:
         m, count = pose_index[n], run_length(n, pose_index)
         if m < 0 or m >= means.shape[0]:
-            numbers[kernel.NO_POSE] += count
+            numbers[footprints.NO_POSE] += count
         else:
             point_block(poses[m], narrow[m], geometry, n, count, beams, directions, points, spreads)
             condition_block(count, spreads, F32(1.0 / resolution_m), F32(independent), given)

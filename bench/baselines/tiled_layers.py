@@ -7,7 +7,7 @@ that no scan waits for memory; what falls into tiles beyond the pool is counted 
 import numpy as np
 from numpy.typing import NDArray
 
-from mapper import kernel
+from mapper import footprints, kernel
 from mapper.grid import TILE_CELLS, TILE_SIDE, tile_indices
 
 Floats = NDArray[np.float64]
@@ -36,7 +36,7 @@ class TiledLayers:
     @property
     def fates(self) -> NDArray[np.int64]:
         """How many beams met which fate so far, as the map's kernel counts them."""
-        return self.numbers[: kernel.FATES]
+        return self.numbers[: footprints.FATES]
 
     def dense(self) -> tuple[NDArray[np.float32], tuple[int, int]]:
         """[planes, ny, nx] of all tiles in use, unseen between, and the number (i, j) of the first cell."""

@@ -12,7 +12,7 @@ from bench import prove_boxes
 from bench.attained import attained
 from drivers.config import LaserConfig
 from drivers.samples import Scan, Stamp
-from mapper.kernel import round_up
+from mapper.footprints import round_up
 from mapper.projection import Boxes, project
 
 Exact = NDArray[np.longdouble]
