@@ -62,7 +62,8 @@ class BoardClock:
         """Take a packet read at `read_ns`, whose time counts steps of `resolution_us`; `wraps`: in 32 bits."""
         raw_us, restarted = device_us, False
         if self._newest is not None:
-            device_us = self._unwrapped(raw_us, wraps)
+            if wraps:
+                device_us = self._unwrapped(raw_us)
             restarted = self._has_restarted(sensor, device_us, wraps, read_ns)
             if restarted:
                 self.clear()
@@ -75,10 +76,9 @@ class BoardClock:
         self._newest_wraps = wraps
         return Placed(device_us, self._latest_ns(device_us, resolution_us, read_ns - self._least_ns), restarted)
 
-    def _unwrapped(self, device_us: int, wraps: bool) -> int:
+    def _unwrapped(self, device_us: int) -> int:
         """The time nearest to the board's newest that 32 bits of milliseconds can mean."""
-        if not wraps or self._newest is None:
-            return device_us
+        assert self._newest is not None
         return device_us + WRAP_US * max(0, round((self._newest[0] - device_us) / WRAP_US))
 
     def _has_restarted(self, sensor: SensorKey, device_us: int, wraps: bool, read_ns: int) -> bool:

@@ -77,9 +77,19 @@ class MavlinkFrame(NamedTuple):
 
     def fields(self) -> dict[str, Any]:
         """The payload's fields by name, in the units of the message's definition; for messages without arrays."""
-        unpacker, names = _BY_NAME[self.message].unpacker, _BY_NAME[self.message].ordered_fieldnames
-        values = unpacker.unpack_from(self.payload.ljust(unpacker.size, b"\0"))
-        return dict(zip(names, values, strict=True))
+        return dict(zip(_BY_NAME[self.message].ordered_fieldnames, self.values(), strict=True))
+
+    def values(self) -> tuple[Any, ...]:
+        """The same without their names, in the order of `field_names`."""
+        unpacker, payload = _BY_NAME[self.message].unpacker, self.payload
+        if len(payload) < unpacker.size:
+            payload = payload.ljust(unpacker.size, b"\0")
+        return unpacker.unpack_from(payload)
+
+
+def field_names(message: str) -> tuple[str, ...]:
+    """The fields of a message, in the order in which they stand on the wire."""
+    return _BY_NAME[message].ordered_fieldnames
 
 
 def serialise(frame: MavlinkFrame) -> bytes:
@@ -137,31 +147,32 @@ class MavlinkStream:
 
     def _take(self, ended: bool) -> list[tuple[MavlinkFrame, int]]:
         frames: list[tuple[MavlinkFrame, int]] = []
-        buffer = self._buffer.data
-        position = 0
+        buffer, position, time_of = self._buffer.data, 0, self._buffer.time_of
         while (magic := _MAGIC.search(buffer, position)) is not None:
             start = magic.start()
-            self._skip(position, start)
-            position = start
+            if start > position:
+                self._skip(position, start)
+                position = start
             size = _frame_bytes(buffer, start)
             if size is None or start + size > len(buffer):
                 if not ended:
                     break
                 size = 0
-            frame = _checked(buffer[start : start + size]) if size else None
+            frame = _checked(buffer, start, size) if size else None
             if frame is None:
                 self._counts["bad_crc"] += size > 0
                 self._skip(position, start + 1)
                 position = start + 1
                 continue
-            self._counts["frames"] += 1
             position = start + size
             # No checksum covers a signature: where its end is missing, the next frame stands in its place.
             self._signature_ends = position + _SIGNATURE_BYTES * _is_signed(buffer, start)
-            frames.append((frame, self._buffer.time_of(start)))
+            frames.append((frame, time_of(start)))
         else:
-            self._skip(position, len(buffer))
-            position = len(buffer)
+            if position < len(buffer):
+                self._skip(position, len(buffer))
+                position = len(buffer)
+        self._counts["frames"] += len(frames)
         self._buffer.discard(position)
         self._signature_ends = max(0, self._signature_ends - position)
         return frames
@@ -199,16 +210,15 @@ def _frame_bytes(buffer: bytes, start: int) -> int | None:
     return 12 + length
 
 
-def _checked(data: bytes) -> MavlinkFrame | None:
+def _checked(buffer: bytes, start: int, size: int) -> MavlinkFrame | None:
     """The frame in exactly these bytes; None where its checksum is wrong."""
-    length = data[1]
-    if data[0] == _MAGIC_V1:
-        version, head_bytes, (sequence, system, component, number) = 1, 6, data[2:6]
+    end = start + size - 2
+    if buffer[start] == _MAGIC_V1:
+        version, begin, (sequence, system, component, number) = 1, start + 6, buffer[start + 2 : start + 6]
     else:
-        version, head_bytes, (sequence, system, component) = 2, 10, data[4:7]
-        number = int.from_bytes(data[7:10], "little")
+        version, begin, (sequence, system, component, low, middle, high) = 2, start + 10, buffer[start + 4 : start + 10]
+        number = low | middle << 8 | high << 16
     definition = _DEFINITION[number]
-    end = head_bytes + length
-    if x25(data[1:end] + bytes((definition.crc_extra,))) != _CRC.unpack_from(data, end)[0]:
+    if x25(buffer[start + 1 : end] + bytes((definition.crc_extra,))) != buffer[end] | buffer[end + 1] << 8:
         return None
-    return MavlinkFrame(definition.msgname, sequence, system, component, data[head_bytes:end], version)
+    return MavlinkFrame(definition.msgname, sequence, system, component, buffer[begin:end], version)

@@ -5,10 +5,12 @@ MAVLink's body frame is x ahead, y right, z down; ours is x ahead, y left, z up.
 """
 
 from collections.abc import Callable
+from inspect import signature
 from math import isnan, nan
-from typing import Any, NamedTuple
+from operator import itemgetter
+from typing import Any, NamedTuple, TypeAlias
 
-from drivers.imu.codec import MavlinkFrame, build
+from drivers.imu.codec import MavlinkFrame, build, field_names
 from drivers.imu.dialect import UNKNOWN_TEMPERATURE_CDEGC
 from drivers.samples import ABSENT3, Vector3
 
@@ -20,6 +22,8 @@ _TEMPERATURE = 1 << 12
 _CENTI = 1e-2
 _BITS = tuple(first << axis for first in (_XACC, _XGYRO) for axis in range(3))
 _ACCEL_AXES, _GYRO_AXES = ("xacc", "yacc", "zacc"), ("xgyro", "ygyro", "zgyro")
+
+Counts: TypeAlias = tuple[int, int, int]
 
 
 class Reading(NamedTuple):
@@ -48,47 +52,75 @@ def turned(vector: Vector3) -> Vector3:
     return x, -y, -z
 
 
-def _highres(fields: dict[str, Any]) -> Reading:
-    updated = fields["fields_updated"]
-    accel, accel_present = _updated(fields, _ACCEL_AXES, updated // _XACC & 0b111)
-    gyro, gyro_present = _updated(fields, _GYRO_AXES, updated // _XGYRO & 0b111)
+def _highres(
+    id_: int,
+    time_usec: int,
+    xacc: float,
+    yacc: float,
+    zacc: float,
+    xgyro: float,
+    ygyro: float,
+    zgyro: float,
+    temperature: float,
+    fields_updated: int,
+) -> Reading:
+    accel, accel_present = _updated(xacc, yacc, zacc, fields_updated // _XACC & 0b111)
+    gyro, gyro_present = _updated(xgyro, ygyro, zgyro, fields_updated // _XGYRO & 0b111)
+    warmth = temperature if fields_updated & _TEMPERATURE else nan
     present = accel_present + gyro_present
-    temperature = fields["temperature"] if updated & _TEMPERATURE else nan
-    return Reading(
-        fields["id"], fields["time_usec"], turned(accel), turned(gyro), present=present, temperature_degc=temperature
-    )
+    return Reading(id_, time_usec, accel, gyro, present=present, temperature_degc=warmth)
 
 
-def _updated(fields: dict[str, Any], names: tuple[str, str, str], updated: int) -> tuple[Vector3, tuple[float, ...]]:
-    """Three axes, NaN where their bit (x: 1, y: 2, z: 4) says that they are not new; and those that are."""
+def _updated(x: float, y: float, z: float, updated: int) -> tuple[Vector3, tuple[float, ...]]:
+    """Three axes in our frame, NaN where their bit (x: 1, y: 2, z: 4) says that they are not new; those that are."""
     if not updated:
         return ABSENT3, ()
-    x, y, z = fields[names[0]], fields[names[1]], fields[names[2]]
     if updated == 0b111:
-        return (x, y, z), (x, y, z)
+        return (x, -y, -z), (x, y, z)
     present = tuple(value for value, bit in ((x, 1), (y, 2), (z, 4)) if updated & bit)
-    return (x if updated & 1 else nan, y if updated & 2 else nan, z if updated & 4 else nan), present
+    return (x if updated & 1 else nan, -y if updated & 2 else nan, -z if updated & 4 else nan), present
 
 
-def _raw(fields: dict[str, Any]) -> Reading:
-    return _scaled(fields["id"], fields["time_usec"], fields)
+def _raw(
+    id_: int,
+    time_usec: int,
+    xacc: int,
+    yacc: int,
+    zacc: int,
+    xgyro: int,
+    ygyro: int,
+    zgyro: int,
+    temperature: int,
+) -> Reading:
+    return _scaled(id_, time_usec, (xacc, yacc, zacc), (xgyro, ygyro, zgyro), temperature)
 
 
-def _boot_ms(sensor_id: int) -> Callable[[dict[str, Any]], Reading]:
+def _boot_ms(sensor_id: int) -> Callable[..., Reading]:
     """SCALED_IMU and its likes."""
 
-    def read(fields: dict[str, Any]) -> Reading:
-        return _scaled(sensor_id, fields["time_boot_ms"] * 1000, fields, resolution_us=1000, wraps=True)
+    def read(
+        time_boot_ms: int, xacc: int, yacc: int, zacc: int, xgyro: int, ygyro: int, zgyro: int, temperature: int
+    ) -> Reading:
+        axes = (xacc, yacc, zacc), (xgyro, ygyro, zgyro)
+        return _scaled(sensor_id, time_boot_ms * 1000, *axes, temperature, resolution_us=1000, wraps=True)
 
     return read
 
 
 def _scaled(
-    sensor_id: int, time_us: int, fields: dict[str, Any], resolution_us: int = 1, wraps: bool = False
+    sensor_id: int,
+    time_us: int,
+    milli_g: Counts,
+    milli_rps: Counts,
+    temperature: int,
+    resolution_us: int = 1,
+    wraps: bool = False,
 ) -> Reading:
     """Integers: milli-g and milliradians per second; a temperature of 0 is none."""
-    accel = (fields["xacc"] * _MILLI_G_MPS2, fields["yacc"] * _MILLI_G_MPS2, fields["zacc"] * _MILLI_G_MPS2)
-    gyro = (fields["xgyro"] * _MILLI, fields["ygyro"] * _MILLI, fields["zgyro"] * _MILLI)
+    x, y, z = milli_g
+    accel = (x * _MILLI_G_MPS2, y * _MILLI_G_MPS2, z * _MILLI_G_MPS2)
+    x, y, z = milli_rps
+    gyro = (x * _MILLI, y * _MILLI, z * _MILLI)
     return Reading(
         sensor_id,
         time_us,
@@ -97,46 +129,34 @@ def _scaled(
         present=accel + gyro,
         resolution_us=resolution_us,
         wraps=wraps,
-        temperature_degc=fields["temperature"] * _CENTI or nan,
+        temperature_degc=temperature * _CENTI or nan,
     )
 
 
-def _attitude(fields: dict[str, Any]) -> Reading:
+def _attitude(time_boot_ms: int, roll: float, pitch: float) -> Reading:
     """Only roll and pitch: the yaw may be NaN, and the rates are the board's filter's, not means between packets."""
-    roll, pitch, time_us = fields["roll"], fields["pitch"], fields["time_boot_ms"] * 1000
-    return Reading(0, time_us, tilt_rad=(roll, -pitch), present=(roll, pitch), resolution_us=1000, wraps=True)
-
-
-def _dual_acceleration(fields: dict[str, Any]) -> Reading:
-    x, y = fields["xacc"], fields["yacc"]
     return Reading(
-        fields["id"],
-        fields["time_usec"],
-        accel_mps2=(x, -y, nan),
-        present=(x, y),
-        temperature_degc=_own_temperature(fields),
-        told_bound=fields["bound"],
+        0, time_boot_ms * 1000, tilt_rad=(roll, -pitch), present=(roll, pitch), resolution_us=1000, wraps=True
     )
 
 
-def _dual_tilt(fields: dict[str, Any]) -> Reading:
-    roll, pitch = fields["roll"], fields["pitch"]
-    return Reading(
-        fields["id"],
-        fields["time_usec"],
-        tilt_rad=(roll, -pitch),
-        present=(roll, pitch),
-        temperature_degc=_own_temperature(fields),
-        told_bound=fields["bound"],
-    )
+def _dual_acceleration(id_: int, time_usec: int, xacc: float, yacc: float, bound: float, temperature: int) -> Reading:
+    warmth = _own_temperature(temperature)
+    axes, present = (xacc, -yacc, nan), (xacc, yacc)
+    return Reading(id_, time_usec, accel_mps2=axes, present=present, temperature_degc=warmth, told_bound=bound)
 
 
-def _own_temperature(fields: dict[str, Any]) -> float:
-    told = fields["temperature"]
+def _dual_tilt(id_: int, time_usec: int, roll: float, pitch: float, bound: float, temperature: int) -> Reading:
+    warmth = _own_temperature(temperature)
+    axes, present = (roll, -pitch), (roll, pitch)
+    return Reading(id_, time_usec, tilt_rad=axes, present=present, temperature_degc=warmth, told_bound=bound)
+
+
+def _own_temperature(told: int) -> float:
     return nan if told == UNKNOWN_TEMPERATURE_CDEGC else told * _CENTI
 
 
-READINGS: dict[str, Callable[[dict[str, Any]], Reading]] = {
+READINGS: dict[str, Callable[..., Reading]] = {
     "HIGHRES_IMU": _highres,
     "SCALED_IMU": _boot_ms(0),
     "SCALED_IMU2": _boot_ms(1),
@@ -146,7 +166,25 @@ READINGS: dict[str, Callable[[dict[str, Any]], Reading]] = {
     "DUAL_AXIS_ACCELERATION": _dual_acceleration,
     "DUAL_AXIS_TILT": _dual_tilt,
 }
-"""The messages that are read; all others are only counted."""
+"""The messages that are read, each by a function of the fields that it wants; all others are only counted."""
+
+
+def _wanted(message: str, reader: Callable[..., Reading]) -> "itemgetter[tuple[Any, ...]]":
+    """Takes the fields that a reader wants, in its order, out of all values of a message."""
+    names = field_names(message)
+    return itemgetter(*(names.index(name.rstrip("_")) for name in signature(reader).parameters))
+
+
+_WANTED = {message: (reader, _wanted(message, reader)) for message, reader in READINGS.items()}
+
+
+def read(frame: MavlinkFrame) -> Reading | None:
+    """What an inertial message says; None of any other."""
+    known = _WANTED.get(frame.message)
+    if known is None:
+        return None
+    reader, wanted = known
+    return reader(*wanted(frame.values()))
 
 
 def highres_imu(

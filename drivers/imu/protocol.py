@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from math import isfinite, pi, radians
 
 from drivers.config import ImuConfig, latency_ns
-from drivers.imu.board_clock import BoardClock, Placed, SensorKey
+from drivers.imu.board_clock import BoardClock, SensorKey
 from drivers.imu.codec import MavlinkFrame, MavlinkStream
-from drivers.imu.messages import READINGS, Reading
+from drivers.imu.messages import Reading, read
 from drivers.samples import InertialSample, Stamp
 
 _ACCEL_LIMIT_MPS2 = 1000.0
@@ -102,14 +102,13 @@ class ImuProtocol:
         samples = []
         for frame, read_ns in frames:
             self._count_losses(frame)
-            reader = READINGS.get(frame.message)
-            if reader is None:
+            reading = read(frame)
+            if reading is None:
                 self.counts["other_messages"] += 1
                 continue
             if not self._is_of_the_board((frame.system, frame.component), read_ns):
                 self.counts["other_source"] += 1
                 continue
-            reading = reader(frame.fields())
             sensor = frame.message, reading.sensor_id
             fault = self._fault(reading) or self._repetition(sensor, reading, read_ns)
             if fault is not None:
@@ -118,31 +117,22 @@ class ImuProtocol:
                     self._unwell[sensor] = " (dead)"
                 continue
             samples.append(self._sample(sensor, reading, read_ns))
+        self.counts["samples"] += len(samples)
         return samples
 
     def _sample(self, sensor: SensorKey, reading: Reading, read_ns: int) -> InertialSample:
-        placed = self._place(sensor, reading, read_ns)
-        self.counts["samples"] += 1
-        return InertialSample(
-            stamp=Stamp(read_ns - self._most_ns, placed.latest_ns),
-            message=sensor[0],
-            sensor_id=reading.sensor_id,
-            device_time_us=placed.device_us,
-            accel_mps2=reading.accel_mps2,
-            gyro_rps=reading.gyro_rps,
-            tilt_rad=reading.tilt_rad,
-            epoch=self._epoch,
-        )
-
-    def _place(self, sensor: SensorKey, reading: Reading, read_ns: int) -> Placed:
         """In time; where the board has restarted, in a new epoch."""
-        placed = self._clock.place(sensor, reading.device_time_us, reading.resolution_us, reading.wraps, read_ns)
-        if placed.restarted:
+        device_us, latest_ns, restarted = self._clock.place(
+            sensor, reading.device_time_us, reading.resolution_us, reading.wraps, read_ns
+        )
+        if restarted:
             self.counts["reboots"] += 1
             self._epoch += 1
-        if placed.device_us is None:
+        if device_us is None:
             self.counts["other_clock"] += 1
-        return placed
+        stamp = Stamp(read_ns - self._most_ns, latest_ns)
+        accel, gyro, tilt = reading.accel_mps2, reading.gyro_rps, reading.tilt_rad
+        return InertialSample(stamp, *sensor, device_us, accel, gyro, tilt, self._epoch)
 
     def _begin_epoch(self) -> None:
         if self._clock.known:
@@ -196,13 +186,14 @@ class ImuProtocol:
         if not isfinite(sum(present)):
             return "not_finite"
         # Absent axes are NaN, which no limit refuses. Most readings are small enough for any axis.
-        if max(max(present), -min(present)) > _TILT_LIMIT_RAD and (
+        largest = max(max(present), -min(present))
+        if largest > _TILT_LIMIT_RAD and (
             _beyond(reading.accel_mps2, _ACCEL_LIMIT_MPS2)
             or _beyond(reading.gyro_rps, _GYRO_LIMIT_RPS)
             or _beyond(reading.tilt_rad, _TILT_LIMIT_RAD)
         ):
             return "out_of_range"
-        if not any(present) and (isfinite(sum(reading.accel_mps2)) or (self._config.always_noisy and len(present) > 1)):
+        if largest == 0.0 and (isfinite(sum(reading.accel_mps2)) or (self._config.always_noisy and len(present) > 1)):
             return "dead"  # not even gravity; or two axes that are exactly zero at once
         within = self._config.temperature_range_degc
         if within is not None and (reading.temperature_degc < within[0] or reading.temperature_degc > within[1]):
