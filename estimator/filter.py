@@ -151,6 +151,8 @@ class Filter:
     @property
     def horizon_ns(self) -> int | None:
         """Poses can be given for stretches of time that end by here."""
+        if len(self._hypotheses) == 1:
+            return self._hypotheses[0].horizon_ns
         ends = [poses.horizon_ns for poses in self._hypotheses]
         return min((end for end in ends if end is not None), default=None) if None not in ends else None
 

@@ -58,6 +58,11 @@ class Tube:
         """Index of the newest node."""
         return self.end - 1
 
+    @property
+    def newest_ns(self) -> int:
+        """The newest node is surely not before then."""
+        return self.times.item(self.end - 1, 0)
+
     def push(self, earliest_ns: int, latest_ns: int) -> int:
         """Index of a new node at the end, stamped; its box and the rest are the caller's to fill.
 
@@ -123,7 +128,7 @@ class Tube:
 
     def reaches(self, time_ns: int) -> bool:
         """Is the newest node surely not before `time_ns`?"""
-        return self.end > self.begin and int(self.times[self.end - 1, 0]) >= time_ns
+        return self.end > self.begin and self.times.item(self.end - 1, 0) >= time_ns
 
     def hull(self, first: int, last: int) -> NDArray[np.float64]:
         """[c, 2] all that the coordinates can be from node `first` to node `last`."""

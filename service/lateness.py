@@ -65,4 +65,4 @@ class Lateness:
 
 def lateness_ns(lain_ns: int) -> int:
     """How late a read came whose bytes may have lain in the port for `lain_ns`; 0 where that is ordinary."""
-    return max(0, lain_ns - READ_ALLOWANCE_NS)
+    return lain_ns - READ_ALLOWANCE_NS if lain_ns > READ_ALLOWANCE_NS else 0

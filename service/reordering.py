@@ -7,14 +7,12 @@ broken by device and arrival, so the order depends on the samples alone, not on 
 
 import heapq
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from drivers.samples import Sample, Scan
 from service.sample_queue import Arrival
-
-_BEGINNING_NS = -(1 << 63)
 
 
 def time_in_order(sample: Sample) -> int:
@@ -41,24 +39,26 @@ class ReorderingWindow:
         self._rank = {device: rank for rank, device in enumerate(devices)}
         self._capacity = capacity
         self._heap: list[tuple[int, int, int, Arrival]] = []
-        self._arrived: Counter[str] = Counter()
+        self._arrived = 0
         self._newest_of: dict[str, int] = {}
         self._newest_ns: int | None = None
         self._released: tuple[int, int] | None = None
 
     def add(self, arrival: Arrival) -> None:
         """Take one arrival into the window, or count it as late."""
-        # Samples of one device never overtake each other, however late the reads that gave them.
-        when = self._newest_of[arrival.device] = max(
-            time_in_order(arrival.sample), self._newest_of.get(arrival.device, _BEGINNING_NS)
-        )
-        rank = self._rank[arrival.device]
+        device = arrival.device
+        when, newest = time_in_order(arrival.sample), self._newest_of.get(device)
+        if newest is not None and newest > when:
+            when = newest  # samples of one device never overtake each other, however late the reads that gave them
+        self._newest_of[device] = when
+        rank = self._rank[device]
         if self._released is not None and (when, rank) < self._released:
-            self.late[arrival.device] += 1
+            self.late[device] += 1
             return
-        self._arrived[arrival.device] += 1
-        heapq.heappush(self._heap, (when, rank, self._arrived[arrival.device], arrival))
-        self._newest_ns = when if self._newest_ns is None else max(self._newest_ns, when)
+        self._arrived += 1
+        heapq.heappush(self._heap, (when, rank, self._arrived, arrival))
+        if self._newest_ns is None or when > self._newest_ns:
+            self._newest_ns = when
 
     def oldest_ns(self, device: str) -> int | None:
         """Time in the order of the first sample of `device` that is held."""
@@ -74,12 +74,15 @@ class ReorderingWindow:
         first = min(held, default=None)
         return None if first is None else first + self._window_ns
 
-    def release(self) -> Iterator[Arrival]:
+    def release(self) -> Sequence[Arrival]:
         """Everything that is a window older than the newest, in order."""
-        while self._heap and self._newest_ns is not None:
-            if self._heap[0][0] > self._newest_ns - self._window_ns and len(self._heap) <= self._capacity:
-                return
-            yield self._pop()
+        heap = self._heap
+        if not heap or self._newest_ns is None:
+            return ()
+        until_ns, released = self._newest_ns - self._window_ns, list[Arrival]()
+        while heap and (heap[0][0] <= until_ns or len(heap) > self._capacity):
+            released.append(self._pop())
+        return released
 
     def release_all(self) -> Iterator[Arrival]:
         """The rest, in order: the stream has ended."""

@@ -2,14 +2,13 @@
 
 import threading
 from collections import Counter, deque
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 from drivers.samples import Sample
 
 
-@dataclass(frozen=True, slots=True)
-class Arrival:
+class Arrival(NamedTuple):
     """A sample, whose it is, and when its last byte was read (system monotonic; never for bounds)."""
 
     device: str
@@ -27,11 +26,14 @@ class SampleQueue:
         """Arrivals that were received earlier are not kept; None: none are."""
         self._capacity = capacity
         self._arrivals: deque[Arrival] = deque()
-        self._changed = threading.Condition()
+        self._lock = threading.Lock()
+        self._changed = threading.Condition(self._lock)
+        self._waiting = 0
+        """So many wait for a change; where none does, nobody need be told, which takes longer than all the rest."""
 
     def put(self, arrivals: Sequence[Arrival]) -> None:
         """Add arrivals; never waits. A full queue loses its oldest: dropping a measurement is always sound."""
-        with self._changed:
+        with self._lock:
             for arrival in arrivals:
                 if self.keeps_from_ns is None or arrival.received_ns < self.keeps_from_ns:
                     self.dropped[arrival.device] += 1
@@ -39,16 +41,16 @@ class SampleQueue:
                     self._arrivals.append(arrival)
             while len(self._arrivals) > self._capacity:
                 self.dropped[self._arrivals.popleft().device] += 1
-            self._changed.notify_all()
+            self._tell()
 
     def take(self, timeout_s: float) -> list[Arrival]:
         """All that is there, oldest first; waits for the first at most `timeout_s`."""
-        with self._changed:
-            if not self._arrivals:
-                self._changed.wait(timeout_s)
+        with self._lock:
+            if not self._arrivals and timeout_s > 0:
+                self._wait(lambda: bool(self._arrivals), timeout_s)
             arrivals = list(self._arrivals)
             self._arrivals.clear()
-            self._changed.notify_all()
+            self._tell()
             return arrivals
 
     @property
@@ -60,5 +62,16 @@ class SampleQueue:
         """Wait until the queue is at most a quarter full: for replays, which can be told to wait; a robot cannot."""
         if 4 * len(self._arrivals) <= self._capacity:
             return True
-        with self._changed:
-            return self._changed.wait_for(lambda: 4 * len(self._arrivals) <= self._capacity, timeout_s)
+        with self._lock:
+            return self._wait(lambda: 4 * len(self._arrivals) <= self._capacity, timeout_s)
+
+    def _wait(self, until: Callable[[], bool], timeout_s: float) -> bool:
+        self._waiting += 1
+        try:
+            return self._changed.wait_for(until, timeout_s)
+        finally:
+            self._waiting -= 1
+
+    def _tell(self) -> None:
+        if self._waiting:
+            self._changed.notify_all()

@@ -45,7 +45,7 @@ def test_what_is_not_read_punctually_is_not_used() -> None:
         readers.queue.put([sample])
         readers.read_punctually()
         assert (readers.queue.take(0), readers.queue.dropped) == ([], {"encoders": 1})
-        punctual = replace(sample, received_ns=time.monotonic_ns())
+        punctual = sample._replace(received_ns=time.monotonic_ns())
         readers.queue.put([sample, punctual])
         assert readers.queue.take(0) == [punctual]
         assert readers.queue.dropped == {"encoders": 2}
