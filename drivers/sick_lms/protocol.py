@@ -295,7 +295,7 @@ class SickLmsProtocol:
 
     def _end(self, outcome: Outcome, now_ns: int) -> None:
         """Leave the state."""
-        if self._state is State.SWITCHING_RATE and outcome is Outcome.DONE:
+        if self._state is State.SWITCHING_RATE and outcome in (Outcome.DONE, Outcome.SILENT):
             self._set_baud(self._goal.baud)
         if self._state is State.WRITING_CONFIGURATION and (outcome is not Outcome.SILENT or self._acknowledged):
             self._writes_heard += 1

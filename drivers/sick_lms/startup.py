@@ -9,7 +9,8 @@ an installation mode that somebody left. Three points need care:
 - Answers do not say which of several equal requests they belong to. No two states that wait for the same answer follow
   each other, so a late answer to a repeated request can't be taken for the next one.
 - A rate change is answered at the old rate. Only then does the line change, and nothing is sent until both ends have
-  settled.
+  settled. Where no answer comes, it is more likely the answer that was lost than each of two requests: the new rate is
+  tried first.
 - Writing the configuration wears the EEPROM out. It happens only after reading it and finding a difference, is never
   repeated without reading again (but after a NAK, which says that it was not even understood), at most
   `MOST_WRITES_HEARD` times where the scanner acknowledged it, and at most `MOST_WRITES` times in all.
@@ -194,6 +195,7 @@ STEPS = {
         lambda goal, found: bytes((Command.MODE, BAUD_MODES[goal.baud])),
         Command.MODE.answer,
         3000,
+        tries=2,
         needless=_rate_stands,
     ),
     State.CONFIRMING: Step(_ask(Command.STATUS), Command.STATUS.answer, 300),
@@ -269,7 +271,7 @@ TRANSITIONS = {
         Outcome.DONE: State.SETTLING,
         Outcome.NEEDLESS: State.STARTING,
         Outcome.REFUSED: State.HALTED,
-        Outcome.SILENT: State.FINDING,
+        Outcome.SILENT: State.SETTLING,
     },
     State.SETTLING: {Outcome.ELAPSED: State.CONFIRMING},
     State.CONFIRMING: {

@@ -730,6 +730,19 @@ def test_the_line_rate_changes_only_after_the_scanner_agreed() -> None:
     assert wire.now_ns - switched >= 250 * MS
 
 
+def test_a_lost_answer_to_the_rate_change_costs_less_than_a_search() -> None:
+    """The scanner has changed already: it is met at its new rate, without asking round at the others."""
+    wire = Wire(record=SERVING_RECORD)
+    wire.to_host = lambda data: data if wire.protocol.state != State.SWITCHING_RATE.value else b""
+    wire.run(10.0, until=lambda: wire.protocol.state == State.SWITCHING_RATE.value)
+    asked_ns = wire.now_ns
+    wire.start()
+
+    assert wire.now_ns - asked_ns < 1600 * MS
+    assert "restarts" not in wire.protocol.counts
+    assert not any("finding" in state for state in wire.states[wire.states.index(State.SWITCHING_RATE.value) :])
+
+
 def test_the_table_leads_everywhere_and_never_asks_for_the_same_answer_twice_in_a_row() -> None:
     """Every state is a step, a wait or the stream; all are reached; a late answer can't be taken for the next one."""
     assert set(STEPS) | set(WAITS_MS) | {State.STREAMING} == set(State) == set(TRANSITIONS)
