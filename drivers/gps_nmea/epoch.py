@@ -66,7 +66,7 @@ class Epoch:
             case Velocity():
                 self.velocity = sentence
             case Dilution():
-                self.own_dilution = _worst(sentence, self.own_dilution)
+                self.own_dilution = worst(sentence, self.own_dilution)
 
     def outcome(self, config: GpsConfig, day: date | None) -> "Fix | str":
         """The fix; or the name of the count of why there is none: `no_position`, `no_fix`, `not_measured`.
@@ -140,7 +140,7 @@ class Epoch:
         return self.dilution is None or self.dilution.dimension == 3
 
 
-def _worst(one: Dilution, other: Dilution | None) -> Dilution:
+def worst(one: Dilution, other: Dilution | None) -> Dilution:
     """Of the GSA sentences of several satellite systems: the least that all of them vouch for."""
     if other is None:
         return one

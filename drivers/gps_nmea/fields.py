@@ -27,6 +27,9 @@ class BadField(ValueError):
     """A field that isn't what the standard says."""
 
 
+_DAY_NS = 86_400_000_000_000
+
+
 @dataclass(frozen=True, slots=True)
 class TimeOfDay:
     """UTC; second 60 is a leap second."""
@@ -43,6 +46,11 @@ class TimeOfDay:
     def seconds(self) -> int:
         """Whole seconds since midnight."""
         return 3600 * self.hour + 60 * self.minute + self.second
+
+    def since_ns(self, earlier: "TimeOfDay") -> int:
+        """Nanoseconds since an earlier time, less than a day before."""
+        later_ns, earlier_ns = (1_000_000_000 * time.seconds + time.nanosecond for time in (self, earlier))
+        return (later_ns - earlier_ns) % _DAY_NS
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,9 @@ which sentences an epoch brings, and delivers the fix with the last of them, or 
 
 A fix is stamped by the read of its epoch's first sentence. Where that one may have been lost the stamp reaches back to
 the last sentence of the epoch before: it was read after that.
+
+VTG and GSA bear no time. One that is read before the next epoch can have been belongs to the present one. Of any other
+nobody knows: some receivers send them first. Then a velocity is not used, and the dilution holds for both epochs.
 """
 
 from collections import Counter
@@ -24,7 +27,7 @@ from drivers.gps_nmea.codec import (
     checksum,
     parse_content,
 )
-from drivers.gps_nmea.epoch import Epoch, EpochSentence
+from drivers.gps_nmea.epoch import Epoch, EpochSentence, worst
 from drivers.gps_nmea.fields import TimeOfDay
 from drivers.samples import Fix, Stamp
 
@@ -38,9 +41,9 @@ class GpsProtocol:
     """The host's end of the wire to the receiver; see drivers/protocol.py for the contract.
 
     counts: `fixes` delivered, of them `unbounded`; `sentences` with a right checksum, of them `other_sentences` of no
-    interest, `untimed` and `late`; `bad_checksum`, `bad_unsummed` without one, `bad_fields`, `skipped_bytes`;
-    `unsure_beginnings` of epochs; dates mended after `week_rollovers`; and epochs without a fix: `no_position`,
-    `no_fix`, `not_measured`.
+    interest, `untimed`, `late` and of an `unsure_epoch` (VTG, GSA); `bad_checksum`, `bad_unsummed` without one,
+    `bad_fields`, `skipped_bytes`; `unsure_beginnings` of epochs; dates mended after `week_rollovers`; and epochs
+    without a fix: `no_position`, `no_fix`, `not_measured`.
     """
 
     def __init__(self, config: GpsConfig, not_before: date | None = None) -> None:
@@ -59,6 +62,12 @@ class GpsProtocol:
         self._epoch: Epoch | None = None
         self._last_time: TimeOfDay | None = None
         """Of the epoch before."""
+        self._periods_ns = (0, 0)
+        """From each of the last epochs to the next; 0: not known."""
+        self._next_from_ns = 0
+        """Before this the next epoch can't have been."""
+        self._between: Dilution | None = None
+        """What GSA sentences said that may belong to the next epoch."""
         self._usual: tuple[Counter[str], Counter[str]] = (Counter(), Counter())
         """Sentences of the last two epochs: one that was lost must not shorten the next epoch."""
         self._read_ns: int | None = None
@@ -140,7 +149,7 @@ class GpsProtocol:
             self._days.told(sentence.time, sentence.date)
         else:
             fixes = self._turn_epoch(address, sentence, read_ns)
-            fixes += self._attach(address, sentence)
+            fixes += self._attach(address, sentence, read_ns)
         self._read_ns, self._clean = read_ns - self._late_ns, True
         return fixes
 
@@ -155,9 +164,14 @@ class GpsProtocol:
         if epoch is not None:
             self._usual = (self._usual[1], epoch.sentences)
             self._last_time = epoch.time
+            self._periods_ns = self._periods_ns[1], time.since_ns(epoch.time)
         self._days.advance(time)
-        dilution = epoch.dilution if epoch is not None else None
+        dilution = self._between or (epoch.dilution if epoch is not None else None)
+        self._between = None
         self._epoch = Epoch(time, self._stamp(address, read_ns), former_dilution=dilution)
+        # The receiver keeps its rate.
+        period_ns = min(self._periods_ns) or self._periods_ns[1]
+        self._next_from_ns = self._epoch.stamp.earliest_ns - self._late_ns + period_ns
         return fixes
 
     def _stamp(self, address: str, read_ns: int) -> Stamp:
@@ -170,9 +184,19 @@ class GpsProtocol:
         self._openers[address] += 1
         return Stamp(begin_ns - self._most_ns, read_ns - self._least_ns)
 
-    def _attach(self, address: str, sentence: EpochSentence) -> list[Fix]:
+    def _of_either(self, dilution: Dilution, epoch: Epoch | None) -> Dilution:
+        """It may be the next epoch's: what it says of the present one is no better than what was said before."""
+        self._between = worst(dilution, self._between)
+        return worst(dilution, epoch.dilution if epoch else None)
+
+    def _attach(self, address: str, sentence: EpochSentence, read_ns: int) -> list[Fix]:
         """Put a sentence into its epoch; the fix, if it was the last of the usual ones."""
         epoch = self._epoch
+        if isinstance(sentence, Dilution | Velocity) and not (epoch and read_ns < self._next_from_ns):
+            self.counts["unsure_epoch"] += 1
+            if isinstance(sentence, Velocity):
+                return []
+            sentence = self._of_either(sentence, epoch)
         if not isinstance(sentence, Dilution | Velocity) and sentence.time is None:
             self.counts["untimed"] += 1
             return []

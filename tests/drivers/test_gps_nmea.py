@@ -4,6 +4,7 @@ from datetime import date
 from itertools import pairwise
 from math import inf, isnan
 
+import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -355,8 +356,50 @@ def test_course_and_speed_come_from_rmc_or_else_from_vtg() -> None:
         ("", "0.0", (0.0, 0.0)),
         ("", "", None),
     ):
-        (fix,) = fixes_of(bare + serialise(vtg.format(course=course, speed=speed)))
+        epochs = [bare.replace(b"120000", b"12000%d" % second) for second in range(3)]
+        epochs = [serialise(epoch[1:].split(b"*")[0].decode()) for epoch in epochs]
+        *_, fix = fixes_of(b"".join(epoch + serialise(vtg.format(course=course, speed=speed)) for epoch in epochs))
         assert fix.ground_velocity_mps == (None if velocity is None else pytest.approx(velocity, abs=1e-9))
+
+
+VTG_AND_GSA = """GNVTG,90.0,T,,M,{knots:.4f},N,,K,A
+GNGSA,A,{dimension},,,,,,,,,,,,,2.0,0.8,1.6"""
+
+
+@pytest.mark.parametrize("period_ms", [50, 100, 200, 1000])
+@pytest.mark.parametrize("order", ["GVD", "VGD", "DVG", "VDG"])
+def test_a_velocity_is_never_that_of_another_epoch(order: str, period_ms: int) -> None:
+    """A receiver that speeds up and loses its height now and then, its sentences in any order, read in any pieces.
+
+    A fix has the velocity of its epoch or none, and a finite bound only where its own epoch was measured in height.
+    Where VTG and GSA come behind their position, and in time, every fix has them once the rate is known.
+    """
+    rng = np.random.default_rng(period_ms)
+    host, fixes, waiting = protocol(), [], b""
+    for epoch in range(40):
+        now_ms = period_ms * epoch
+        time = f"12{now_ms // 60000:02d}{now_ms % 60000 / 1000:06.3f}"
+        knots, dimension = epoch * 3600 / 1852, 2 if epoch % 5 == 3 else 3
+        vtg, gsa = VTG_AND_GSA.format(knots=knots, dimension=dimension).split("\n")
+        sentences = {"G": gga(time), "V": serialise(vtg), "D": serialise(gsa)}
+        for number, letter in enumerate(order):
+            waiting += sentences[letter]
+            read_ns = (now_ms + 40 + number) * MS
+            if rng.random() < 0.7:
+                cut = int(rng.integers(len(waiting) + 1))
+                fixes += host.receive_data(waiting[:cut], read_ns)
+                waiting = waiting[cut:]
+        fixes += host.receive_data(waiting, (now_ms + 44) * MS)
+        waiting = b""
+    fixes += host.finish()
+    assert len(fixes) == 40
+    known = [fix.ground_velocity_mps for fix in fixes]
+    for epoch, (fix, velocity) in enumerate(zip(fixes, known, strict=True)):
+        assert velocity is None or velocity == pytest.approx((epoch, 0.0), abs=1e-3)
+        assert fix.bound_m[2] == inf or epoch % 5 != 3
+    if order == "GVD" and period_ms > 50:
+        assert None not in known[8:]
+        assert [fix.bound_m[2] < inf for fix in fixes[8:]] == [epoch % 5 != 3 for epoch in range(8, 40)]
 
 
 def test_the_emulated_receivers_velocity_arrives() -> None:
