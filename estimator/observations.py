@@ -18,6 +18,7 @@ from estimator.interval import (
     cosine,
     direction,
     divide,
+    hull,
     is_empty,
     meet,
     mid,
@@ -117,9 +118,12 @@ def lever(attitude: NDArray[np.float64], arm: NDArray[np.float64], out: NDArray[
         out[i, 0], out[i, 1] = add(scale(arm[0], one[i]), add(scale(arm[1], two[i]), scale(arm[2], three[i])))
 
 
+TWO_PI = 6.283185307179586, 6.283185307179587
+
+
 @compiled
 def nearest_copy(angle: Interval, measured: Interval) -> Interval:
-    """[angle] intersected with [measured] + 2 pi n for the one n that can meet it; [angle] where two might.
+    """[angle] intersected with [measured] + 2 pi n for every n that can meet it: the hull of what they leave.
 
     [angle] at least a full turn wide is unknown: then the copy nearest its middle is taken, which names the turn.
     """
@@ -128,12 +132,18 @@ def nearest_copy(angle: Interval, measured: Interval) -> Interval:
     copy = mid(measured)
     spread = reach(measured, copy)
     turns = round((centre - copy) / TURN)
-    shifted = add(measured, scale(turns, (6.283185307179586, 6.283185307179587)))
+    shifted = add(measured, scale(turns, TWO_PI))
     if width >= pi:
         return shifted if spread < 3.0 else angle
-    if width + spread >= 3.14:
+    if spread >= 3.14:
         return angle
-    return meet(angle, shifted)
+    seen = meet(angle, shifted)
+    if width + spread >= 3.14:
+        for neighbour in (turns - 1, turns + 1):
+            other = meet(angle, add(measured, scale(neighbour, TWO_PI)))
+            if not is_empty(other):
+                seen = other if is_empty(seen) else hull(seen, other)
+    return seen
 
 
 @compiled

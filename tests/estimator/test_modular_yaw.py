@@ -41,3 +41,27 @@ def test_an_angle_that_may_be_anything_is_named_by_its_first_measurement() -> No
         turns = (0.5 * (out[0] + out[1]) - 0.05 - true) / TURN
         assert abs(turns - round(turns)) < 1e-9
         assert abs(0.5 * (out[0] + out[1]) - centre) < np.pi + 0.1
+
+
+def test_of_a_wide_angle_no_more_is_left_than_the_copies_that_meet_it() -> None:
+    """Known to a little less than a turn: the hull of what each copy leaves, and nothing where none meets it."""
+    random = np.random.default_rng(3)
+    narrowed = empty = 0
+    for _ in range(20_000):
+        centre, copy = random.uniform(-10.0, 10.0, 2)
+        reach, spread = random.uniform(2.0, np.pi), np.exp(random.uniform(-5.0, 1.14))
+        low, high = centre - reach, centre + reach
+        out = nearest_copy((low, high), (copy - spread, copy + spread))
+        pieces = np.array(
+            [(max(low, copy - spread + n), min(high, copy + spread + n)) for n in TURN * np.arange(-9, 10)]
+        )
+        pieces = pieces[pieces[:, 0] <= pieces[:, 1]]
+        if len(pieces) == 0:
+            assert out[0] > out[1]
+            empty += 1
+            continue
+        assert out[0] <= pieces.min() <= pieces.max() <= out[1]
+        np.testing.assert_allclose(out, (pieces.min(), pieces.max()), atol=1e-9)
+        narrowed += pieces.max() - pieces.min() < 0.9 * (high - low)
+    assert narrowed > 3_000
+    assert empty > 20
