@@ -19,6 +19,8 @@ class ContactConfig:
 
 
 MOST_TILES = 1_000_000
+WIDEST_FOOTPRINT_CELLS = 2000
+"""A beam of such a footprint widens four million cells, which takes some milliseconds: no scan is to take minutes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -33,7 +35,7 @@ class MapConfig:
     rolling: bool = False
     """Without a store: forget the tiles farthest from the robot instead, and count them."""
     max_footprint_m: Positive = 3.0
-    """A beam whose footprint is wider than this tells too little: it is skipped and counted."""
+    """A beam whose footprint is wider than this tells too little: it is skipped and counted. 2000 cells at most."""
     contact: ContactConfig | None = None
     """Map the ground that the tracks touch, too. Absent: only what beams hit."""
     evidence_slots: Annotated[int, Field(ge=0, le=16)] = 0
@@ -45,6 +47,11 @@ class MapConfig:
     """So many slots' extremes are set aside: 1 against rain and single bad beams, 2 against what passes by."""
 
     def __post_init__(self) -> None:
+        if self.max_footprint_m > (most := WIDEST_FOOTPRINT_CELLS * self.resolution_m):
+            raise ValueError(
+                f"max_footprint_m = {self.max_footprint_m:g} is more than {WIDEST_FOOTPRINT_CELLS} cells of "
+                f"{self.resolution_m:g} m: give at most {most:g}, or no scan would be done in time"
+            )
         if 0 < self.evidence_slots <= 2 * self.evidence_set_aside:
             raise ValueError(
                 f"evidence_slots = {self.evidence_slots} can't outvote evidence_set_aside = {self.evidence_set_aside}: "

@@ -53,6 +53,7 @@ def test_all_mistakes_come_at_once() -> None:
         ("[robot]", "[robbot]", "robbot"),
         ('set = "box"', 'set = "zonotope"', "filter.set"),
         ("[map]", "[map]\nmax_tile = 3", "map.max_tile"),
+        ("[map]", "[map]\nmax_footprint_m = 1e6", "map: max_footprint_m = 1e+06 is more than 2000 cells"),
         ('interface = "slcan"', 'interface = "serial"', "devices.encoders.interface"),
         ("range_min_m = 0.3", "range_min_m = 8.5", "range_min_m = 8.5 should be less than range_max_m = 8"),
         ("left_metres_per_tick = 0.0002", "left_metres_per_tick = 0.0", "devices.encoders.left_metres_per_tick"),
