@@ -17,7 +17,7 @@ from mapper.store import Place, StoreError, Submap, TileRow, TileStore
 from mapper.store_check import Findings, open_store
 from mapper.tile import Tile, join
 from service.health import Health
-from service.messages import DigestEntry, GuaranteeMessage, guarantee_message, read, write, write_anchor
+from service.messages import DigestEntry, guarantee_of, guarantee_text, write_anchor
 from service.published_map import EarlierSubmap
 
 OPENING_S = 1.0
@@ -110,6 +110,8 @@ class MapKeeper:
         self._words = Submap(0, resolution_m, frame)
         """Number in the store, anchor and guarantee of the run's submap."""
         self._words_changed = False
+        self._told: tuple[Anchor | None, Guarantee] = None, INTACT
+        """As the words have it."""
         self._offered_ns = 0
         self._number: int | None = None
         """Of the run's submap, as the pipeline and the wire have it."""
@@ -147,10 +149,12 @@ class MapKeeper:
             # Whatever is not saved has not left memory: the newer state of a tile contains the older one.
             self._pending.update(((tile.submap, tile.ix, tile.iy), tile) for tile in tiles)
             self._released_ns = released_ns
-            place = "" if anchor is None else write_anchor(anchor).decode()
-            words = replace(self._words, anchor=place, guarantee=guarantee_text(guarantee))
-            self._words_changed = self._words_changed or words != self._words
-            self._words = words
+            if (anchor, guarantee) != self._told:
+                self._told = anchor, guarantee
+                place = "" if anchor is None else write_anchor(anchor).decode()
+                words = replace(self._words, anchor=place, guarantee=guarantee_text(guarantee))
+                self._words_changed = self._words_changed or words != self._words
+                self._words = words
 
     def is_saved(self, place: Place) -> bool:
         """Is all of a tile on the disk, and none of it on its way back into memory?"""
@@ -339,13 +343,3 @@ class MapKeeper:
     def _in_store(self, submap: int) -> int:
         """Number in the store of a submap as the wire has it."""
         return self._words.number if submap == self._number else submap
-
-
-def guarantee_text(guarantee: Guarantee) -> str:
-    """A guarantee as the store keeps it."""
-    return "" if guarantee == INTACT else write(guarantee_message(guarantee)).decode()
-
-
-def guarantee_of(text: str) -> GuaranteeMessage:
-    """What `guarantee_text` wrote."""
-    return read(GuaranteeMessage, text.encode()) if text else guarantee_message(INTACT)

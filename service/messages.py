@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
-from estimator.bounded_pose import Anchor, BoundedPose, Guarantee, PlanarEllipsoid, Status
+from estimator.bounded_pose import INTACT, Anchor, BoundedPose, Guarantee, PlanarEllipsoid, Status
 from estimator.inconsistency import Fault
 
 MAX_BYTES = 1 << 18
@@ -206,6 +206,16 @@ def guarantee_message(guarantee: Guarantee) -> GuaranteeMessage:
         guarantee.restored_ns,
         guarantee.contradicted_ns,
     )
+
+
+def guarantee_text(guarantee: Guarantee) -> str:
+    """A guarantee as the store keeps it."""
+    return "" if guarantee == INTACT else write(guarantee_message(guarantee)).decode()
+
+
+def guarantee_of(text: str) -> GuaranteeMessage:
+    """What `guarantee_text` wrote."""
+    return read(GuaranteeMessage, text.encode()) if text else guarantee_message(INTACT)
 
 
 def fault_values(fault: Fault) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from service.map_file import save_map, save_tiles
 from service.map_keeper import MapKeeper, Unkept
 from service.map_update import MAP_FRAME, MapUpdate
 from service.messages import TileId, fault_values
+from service.offered_place import OfferedPlace
 from service.pipeline import Pipeline
 from service.published_map import Recall, nothing_kept
 from service.publisher import Publisher
@@ -35,7 +36,7 @@ from service.unpublished import Unpublished
 IDLE_S = 0.02
 """The pipeline thread looks up this often when no sample comes."""
 LEAST_OFFER_NS = 4_000_000
-"""Updates are at least this far apart: a fast replay coalesces more instead of publishing more. Scans are farther."""
+"""Updates are at least this far apart: a fast replay coalesces more instead of publishing more."""
 COUNT_PERIOD_NS = 50_000_000
 """The pipeline's counts are brought together this often."""
 GATHER_S = 0.004
@@ -99,6 +100,7 @@ class Onboard:
         self._lockstep = lockstep
         self._stopping = threading.Event()
         self._offered_ns = self._told_ns = 0
+        self._place = OfferedPlace(self.pipeline.filter, config.publish.pose_rate_hz)
         self._told: Mapping[str, Any] = {}
         """Health as it was then."""
         self._pace = 0, clock.now_ns(), False
@@ -275,10 +277,10 @@ class Onboard:
             self.publisher.wait_until_ready(2.0)
         now_ns = time.monotonic_ns()
         publisher_ready = self.publisher.ready
-        if not last and (
-            now_ns - self._offered_ns < LEAST_OFFER_NS or not (publisher_ready or self.keeper.due(now_ns))
-        ):
+        wanted = publisher_ready or self.keeper.due(now_ns)
+        if not last and (now_ns - self._offered_ns < LEAST_OFFER_NS or not wanted):
             return
+        self._place.look_up(now_ns, last)
         self._keep_changes()
         if not publisher_ready:
             return
@@ -290,8 +292,8 @@ class Onboard:
         self.publisher.offer(
             MapUpdate(
                 tiles=tiles,
-                pose=self.pipeline.filter.latest(),
-                anchor=self.pipeline.filter.anchor,
+                pose=self._place.take_pose(),
+                anchor=self._place.anchor,
                 health=self._health_now(now_ns, last),
                 guarantee=self.pipeline.filter.guarantee,
                 released_ns=self.pipeline.released_ns,
@@ -316,7 +318,7 @@ class Onboard:
             self.keeper.wants_all = False
             tiles = terrain.tiles()
         if tiles or self.keeper.due(time.monotonic_ns()):
-            self.keeper.offer(tiles, state.anchor, state.guarantee, self.pipeline.released_ns)
+            self.keeper.offer(tiles, self._place.anchor, state.guarantee, self.pipeline.released_ns)
         for tile in tiles if self.publisher.takes_updates else ():
             place = TileId(tile.submap, tile.ix, tile.iy)
             # What waited may have left memory meanwhile: the newer one need not contain it.

@@ -21,8 +21,8 @@ from mapper.store_check import open_store
 from mapper.tile import Tile, join, snap_outward
 from service import map_keeper
 from service.health import Health
-from service.map_keeper import STORE, STORED_MAP, EarlierSubmaps, MapKeeper, guarantee_of
-from service.messages import DigestEntry, read_anchor
+from service.map_keeper import STORE, STORED_MAP, EarlierSubmaps, MapKeeper
+from service.messages import DigestEntry, guarantee_of, read_anchor
 
 PATIENCE_S = 30.0
 QUICK_S = 0.02
