@@ -37,9 +37,14 @@ BETWEEN = 3e-3
 """... sideways and normal to the ground, where it looks every half step only;"""
 SECOND_ORDER_MMPS2 = 0.3
 """... of accelerometers, whose terms of second order it leaves out;"""
-ATTEMPTS = ((False, TIGHTER), (True, 2e-3), (True, 0.0))
+WIDER = 3e-6
+"""Relative: a part of the solver's tolerance, by which bounds may be wider where errors stand exactly at them."""
+ATTEMPTS = ((False, TIGHTER), (True, 2e-3), (True, -WIDER))
 """May it roll and pitch otherwise than the truth; how much narrower the gyroscope's noise is, for terms of second order
-in the angles. Errors that stand at their bounds leave no room for that."""
+in the angles. Errors that stand at their bounds leave no room for that: there all bounds are a little wider, or the
+solver's rounding alone would leave nothing."""
+NOTHING = 1e-11
+"""Smaller factors only confuse the solver."""
 SPARE_M = 2e-4
 """... and fixes are this much narrower, for what is left of the linearisation."""
 
@@ -74,6 +79,8 @@ class Programme:
     def solved(self) -> Array | None:
         """The best values; None where nothing fulfils all."""
         matrix = sparse.vstack([row[0] for row in self._rows], format="csr")
+        matrix.data[np.abs(matrix.data) < NOTHING] = 0.0
+        matrix.eliminate_zeros()
         low, high = (np.concatenate([row[i] for row in self._rows]) for i in (1, 2))
         same = low == high
         above, below = np.isfinite(high) & ~same, np.isfinite(low) & ~same
@@ -113,8 +120,10 @@ def found(truth: Truth, near: Witness, spare: float = TIGHTER, leans: bool = Fal
 def programme(truth: Truth, near: Witness, spare: float) -> Programme:
     """Every reading and every limit, linear in what a witness deviates by from the truth, mm and mrad.
 
-    `spare`: by so much, relatively, the gyroscope's noise is narrower than declared, and a tenth of it slip.
+    `spare`: by so much, relatively, the gyroscope's noise is narrower than declared, and a tenth of it slip; negative:
+    all bounds that readings have to keep are so much wider.
     """
+    wider = max(-spare, 0.0)
     n, robot, imu, encoders = truth.n, truth.robot, truth.devices.imu, truth.devices.encoders
     knots, nodes = n + 2, slice(None, None, ROWS)
     nowhere, anywhere = np.full(n + 1, -np.inf), np.full(n + 1, np.inf)
@@ -167,7 +176,8 @@ def programme(truth: Truth, near: Witness, spare: float) -> Programme:
     # Gyroscope: noise, and a scale error that goes with the true rate.
     mean = np.vstack([np.zeros(3), np.diff(truth.turned[nodes], axis=0) / STEP_S])
     mean[1:] += over @ (motion.rate - truth.rate) / STEP_S
-    noise = 1e3 * radians(imu.gyro_noise_bound_dps) * (1.0 - spare * (~(truth.held[:-1] & truth.held[1:])))
+    driven = ~(truth.held[:-1] & truth.held[1:])
+    noise = 1e3 * radians(imu.gyro_noise_bound_dps) * (1.0 + wider - max(spare, 0.0) * driven)
     for axis in range(3):
         terms = {name: sparse.vstack([sparse.csr_array((1, m.shape[1])), m / STEP_S], format="csr")
                  for name, m in rate(axis, over).items()}  # fmt: skip
@@ -187,15 +197,15 @@ def programme(truth: Truth, near: Witness, spare: float) -> Programme:
     for axis in range(2):
         away = 1e3 * (truth.readings.tilt[: n + 1, axis] - truth.pose[nodes, 3 + axis])
         told = np.flatnonzero(~np.isnan(away))
-        bound = np.full(len(told), 1e3 * radians(imu.tilt_bound_deg))
+        bound = np.full(len(told), 1e3 * radians(imu.tilt_bound_deg) * (1.0 + wider))
         lp.within({ANGLES[axis]: identity[told]}, away[told] - bound, away[told] + bound)
 
     # Tracks: what they ran is told by the ticks, and slips on the ground.
     for side, sign in enumerate((-1.0, 1.0)):
         tick = 1e3 * (encoders.left_metres_per_tick, encoders.right_metres_per_tick)[side]
         counted = tick * truth.readings.ticks[: n + 1, side]
-        where, spare = lp.at(TRACKS[side]), TIGHTER * tick
-        lp.low[where], lp.high[where] = counted + spare, counted + tick * encoders.quantisation_ticks - spare
+        where, edge_mm = lp.at(TRACKS[side]), tick * (-wider if wider else TIGHTER)
+        lp.low[where], lp.high[where] = counted + edge_mm, counted + tick * encoders.quantisation_ticks - edge_mm
         drives, rests = np.flatnonzero(~truth.rest), np.flatnonzero(truth.rest)
         at_rest = np.union1d(rests, rests + 1)  # there the witness can't move away from a tick's edge
         true = truth.true_tracks[at_rest, side]
@@ -209,7 +219,7 @@ def programme(truth: Truth, near: Witness, spare: float) -> Programme:
         still = {name: -times(ran, matrix[rests]) for name, matrix in ground.items()} | {TRACKS[side]: step[rests]}
         there = truth.run[rests, side] + ran * (gone - truth.ground[:, side])[rests]
         lp.within(still, there, there)
-        slip = robot.slip_ratio * (1.0 - 0.1 * spare) * truth.way[drives, side].astype(float)
+        slip = robot.slip_ratio * (1.0 + wider - 0.1 * max(spare, 0.0)) * truth.way[drives, side].astype(float)
         for edge in (-1.0, 1.0):  # edge (ground - run) <= slip way run
             terms = {name: edge * matrix[drives] for name, matrix in ground.items()}
             terms[TRACKS[side]] = -times(edge + slip, step[drives])
@@ -272,6 +282,7 @@ def programme(truth: Truth, near: Witness, spare: float) -> Programme:
         terms = {name: times(swing[j][:, i], identity[seen]) for j, name in enumerate(ANGLES)}
         away = 1e3 * (fixes - arm)[:, i] + lp.now(terms)
         bound = np.where(true_away[:, i] > 1e3 * (RTK[i] - SPARE_M), 1e3 * RTK[i], 1e3 * (RTK[i] - SPARE_M))
+        bound *= 1.0 + wider
         lp.within({place: identity[seen]} | terms, away - bound, away + bound)
     return lp
 

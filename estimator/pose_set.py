@@ -31,6 +31,7 @@ from estimator.ellipsoidal_position import EllipsoidalPosition
 from estimator.inconsistency import Journal
 from estimator.position import EARTH, MAP, NO_EPOCH, PositionChain
 from estimator.relaxed_anchoring import RelaxedAnchoring
+from estimator.speed_change import SpeedChange
 from estimator.standstill import Standstill
 from estimator.track_yaw import TrackYaw
 from estimator.tube import poses_between
@@ -60,6 +61,7 @@ class PoseSet:
         self._attitude = AttitudeChain(robot, config, imu, self.journal)
         self._position = POSITION_CHAINS[config.set](robot, config, encoders, self._attitude, self.journal)
         self._track_yaw = TrackYaw(robot.turning_gauge_m, self._position.tracks, self._attitude, self.journal)
+        self._speed_change = SpeedChange(robot.turning_gauge_m, self._position.tracks, self._attitude, self.journal)
         self._standstill = Standstill(config.standstill_s, self._attitude)
         anchoring = RelaxedAnchoring if config.wrong_fixes else Anchoring
         self._anchoring = anchoring(gps, self._attitude, self._position, self.journal)
@@ -151,7 +153,9 @@ class PoseSet:
             return
         self._standstill.watch(ticks)
         if self._position.last_ticks is not ticks:
-            self._track_yaw.watch(ticks.stamp, self._position.predict(ticks))
+            step = self._position.predict(ticks)
+            self._speed_change.watch(ticks.stamp, step)
+            self._track_yaw.watch(ticks.stamp, step)
 
     # ---------------------------------------------------------------- poses out
 
