@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -94,7 +95,9 @@ class Outcome:
     soonest_m: float = np.nan
     """... and the way after which somebody could have told, at the earliest; NaN: not worked out."""
     untold: int = 0
-    """True poses outside of sets that were called intact at the time;"""
+    """True poses outside of sets that were called intact at the time,"""
+    untold_s: list[float] = field(default_factory=list)
+    """... so long after the fault's beginning;"""
     told: int = 0
     """... and of sets that were called void;"""
     not_taken_back: int = 0
@@ -115,6 +118,8 @@ def break_it(case: Case, law: str, seed: int, seconds: float, kept: SetName = "b
     ends_s = fault.end_s if np.isfinite(fault.end_s) else begin_s
     went = drive(fault.changed, config, world, until_s=ends_s + config.fault_length_s + LASTS_S)
     outcome = Outcome(untold=went.untold, told=went.told, not_taken_back=went.not_taken_back, checks=went.checks)
+    outside_s = ((time_ns - world.start_ns) * 1e-9 - begin_s for time_ns in went.false_ns)
+    outcome.untold_s = list(islice(outside_s, went.untold))  # they come first
     if isinstance(fault, WrongTracks) and fault.scale[0] == fault.scale[1] != 1.0:
         outcome.soonest_m = way_driven(world, begin_s, soonest_s(world, fault))
     if went.told_ns is not None:
@@ -235,9 +240,10 @@ ends. A fault begins while the robot drives (one gyroscope's: while it turns) an
   sound method could tell at the earliest, even one that knew the true attitude and turning at every instant
   (`bench/soonest.py`), unless it took accelerometers for speedometers: so long there is a motion within the bounds of
   tracks, gyroscope, tilt and fixes that explains all of their measurements.
-- `outside, before told`: true poses outside of sets that were called intact then; nobody could know. `outside, after`:
-  the same of sets that were called void. **`outside, not taken back`: of either, those that `void_since_ns` and
-  `restored_ns` of the last word still promise** ([faults.md](../docs/faults.md)). This must be 0.
+- `outside, before told`: true poses outside of sets that were called intact then; whether anybody could have known is
+  told drive by drive below. `outside, after`: the same of sets that were called void. **`outside, not taken back`: of
+  either, those that `void_since_ns` and `restored_ns` of the last word still promise**
+  ([faults.md](../docs/faults.md)). This must be 0.
 - `good again`: drives that ended NOMINAL again, and how long after the fault's end (`fault_length_s` is 10 s after the
   contradiction; a fault that outlasts it is told again). A drive goes on for 15 s after its fault.
 """

@@ -9,8 +9,8 @@ import numpy as np
 
 from bench.fault_drive import world_of
 from bench.pose_faults import LAWS, Case, Outcome, break_it, cases, when
-from bench.witness import Readings, readings_of
-from bench.witness_search import until_m
+from bench.witness import STEP_S, Readings, Truth, readings_of
+from bench.witness_search import until_m, witnessed
 from simulator.faults import Fault
 from simulator.robot import STEP_NS
 from simulator.world import World
@@ -21,15 +21,20 @@ WAYS_M = (1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0)
 """A witness is looked for at the mark, and beyond it as long as there is one and nobody was named."""
 LATE = ("scale wrong by 4 %", "gyroscope stuck on the way")
 
-TEXT = """`nobody before`: until then there's a *witness* (`bench/witness.py`): a motion, held against every reading and
+TEXT = """`nobody before`: until then there is a *witness* (`bench/witness.py`): a motion, held against all readings and
 every declared limit by the nonlinear equations (to a hundred-thousandth of each bound), that explains them all; as long
 as there is one, no sound method may name anybody. Looked for at 1 m and every half metre beyond, where the filter told
-later than 1 s and 1 m. `tilt`: by methods that read accelerometers as tilt sensors, which the robot's own acceleration
-disturbs (so the filter reads them); `any`: as sensors of that acceleration too, 0.1 m/s² at 50 Hz. `none`: none was
-found at 1 m, which proves nothing. `soonest.py` is given the true turning, and no ticks; the limit of acceleration it
-leaves out.
+later than 1 s and 1 m: **so where it stands at 1 m or more, the mark is out of reach of any sound method.** `tilt`: of
+any that reads accelerometers as tilt sensors, which the robot's own acceleration disturbs (so the filter reads them);
+`any`: of those too that read them as sensors of that acceleration, 0.1 m/s² at 50 Hz. `none`: none was found at 1 m,
+which proves nothing. `soonest.py` is given the true turning, and no ticks; the limit of acceleration it leaves out.
+`outside before told`: poses, as in the table above; **nobody knew**: a witness explains all readings up to the last of
+them.
 """
-HEAD = "| fault | errors | drive | speed | told after | in time | nobody before: tilt | any | `soonest.py` |"
+HEAD = (
+    "| fault | errors | drive | speed | told after | in time | nobody before: tilt | any | `soonest.py` "
+    "| outside before told |"
+)
 
 
 def section() -> Iterator[str]:
@@ -37,7 +42,7 @@ def section() -> Iterator[str]:
     yield from TEXT.splitlines()
     yield ""
     yield HEAD
-    yield "|---" * 9 + "|"
+    yield "|---" * 10 + "|"
     for case in (case for case in cases() if any(late in case.name for late in LATE)):
         for law in LAWS:
             for seed in (1, 2, 3):
@@ -48,21 +53,28 @@ def _row(case: Case, law: str, seed: int) -> str:
     outcome = break_it(case, law, seed, SECONDS)
     world = world_of(law, seed, SECONDS)
     begin_s = when(world, case.turning)
+    fault = case.make(begin_s)
+    readings = readings_of(world, case.make(begin_s))
     in_time = outcome.after_s <= MARK_S or outcome.after_m <= MARK_M
     tilt = any_ = "-"
     if not in_time:
-        fault = case.make(begin_s)
-        readings = readings_of(world, case.make(begin_s))
         until = _witnessed(world, fault, readings, outcome, felt=False)
         tilt = f"**{until:.1f} m**" if until else "none"
         if until:
             felt = _witnessed(world, fault, readings, outcome, felt=True)
             any_ = f"**{felt:.1f} m**" if felt else "none"
+    outside = "0"
+    if outcome.untold:
+        last = round((begin_s + outcome.untold_s[-1]) / STEP_S)
+        explained = witnessed(Truth(world, fault, readings, last, felt=False))
+        outside = f"{outcome.untold}, **nobody knew**" if explained else f"{outcome.untold}, no witness found"
     speed = abs(world.drive.speed[round(begin_s * 1e9) // STEP_NS])
     soonest = "-" if np.isnan(outcome.soonest_m) else f"{outcome.soonest_m:.1f} m"
     told = f"{outcome.after_m:.2f} m, {outcome.after_s:.1f} s" if outcome.named else "never"
     yes = "yes" if in_time else "no"
-    return f"| {case.name} | {law} | {seed} | {speed:.1f} m/s | {told} | {yes} | {tilt} | {any_} | {soonest} |"
+    return (
+        f"| {case.name} | {law} | {seed} | {speed:.1f} m/s | {told} | {yes} | {tilt} | {any_} | {soonest} | {outside} |"
+    )
 
 
 def _witnessed(world: World, fault: Fault, readings: Readings, outcome: Outcome, felt: bool) -> float:
