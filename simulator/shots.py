@@ -1,4 +1,7 @@
-"""The laser's beams, each shot from the true pose at its own time, with the errors of range and angle."""
+"""The laser's beams, each shot from the true pose at its own time, with the errors of range and of direction.
+
+A beam is off its nominal direction along the scan (by an angle about the scan axis) and across it (out of its plane).
+"""
 
 from math import cos, inf, isinf, sin
 
@@ -32,6 +35,8 @@ def shoot(
     range_bound: float,
     angle_key: int,
     angle_bound: float,
+    across_key: int,
+    across_bound: float,
     lost: float,
     echo_key: int,
     ranges: Array,
@@ -47,14 +52,15 @@ def shoot(
         cp, sp = cos(pose[4]), sin(pose[4])
         cy, sy = cos(pose[5]), sin(pose[5])
         angle = angles[i] + angle_bound * draw(law, angle_key, since_start_ns[i])
-        ahead, left = cos(angle), sin(angle)
+        across = across_bound * draw(law, across_key, since_start_ns[i])
+        ahead, left, up = cos(across) * cos(angle), cos(across) * sin(angle), sin(across)
         for vector in range(2):
             if vector == 0:
                 bx, by, bz = mount[0], mount[1], mount[2]
             else:
-                bx = mount_rotation[0, 0] * ahead + mount_rotation[0, 1] * left
-                by = mount_rotation[1, 0] * ahead + mount_rotation[1, 1] * left
-                bz = mount_rotation[2, 0] * ahead + mount_rotation[2, 1] * left
+                bx = mount_rotation[0, 0] * ahead + mount_rotation[0, 1] * left + mount_rotation[0, 2] * up
+                by = mount_rotation[1, 0] * ahead + mount_rotation[1, 1] * left + mount_rotation[1, 2] * up
+                bz = mount_rotation[2, 0] * ahead + mount_rotation[2, 1] * left + mount_rotation[2, 2] * up
             wx = cy * cp * bx + (cy * sp * sr - sy * cr) * by + (cy * sp * cr + sy * sr) * bz
             wy = sy * cp * bx + (sy * sp * sr + cy * cr) * by + (sy * sp * cr - cy * sr) * bz
             wz = -sp * bx + cp * sr * by + cp * cr * bz

@@ -124,9 +124,11 @@ class World:
         self._mount_rotation = np.ascontiguousarray(rotations(self.true_mount[np.newaxis])[0])
         self._range_channel = self.law.channel("laser.range")
         self._angle_channel = self.law.channel("laser.angle")
+        self._across_channel = self.law.channel("laser.across")
         self._echo_channel = self.law.channel("laser.echo")
         self._range_bound = max(laser.range_bound_m - RANGE_MARGIN_M[laser.unit], 0.0)
-        self._angle_bound = radians(laser.angle_bound_deg)
+        across_deg = laser.angle_bound_deg if laser.across_bound_deg is None else laser.across_bound_deg
+        self._angle_bound, self._across_bound = radians(laser.angle_bound_deg), radians(across_deg)
 
     def begin_drive(self, t_ns: int) -> None:
         """The two seconds of standstill begin at `t_ns`; before, the robot has been standing at the same place."""
@@ -172,6 +174,8 @@ class World:
             self._range_bound,
             self._angle_channel.key,
             self._angle_bound,
+            self._across_channel.key,
+            self._across_bound,
             terrain.lost_echoes,
             self._echo_channel.key,
             ranges,
