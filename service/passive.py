@@ -30,7 +30,7 @@ NO_LINE = "understood, but nothing in it makes a line; the counts tell why"
 _INTACT = ("telegrams", "frames", "sentences")
 
 _CANDUMP_LINE_BYTES = 256
-_CANDUMP = re.compile(rb"\(\d{1,10}\.\d{6,9}\) \S{1,32} [0-9A-Fa-f]{3,8}#")
+_CANDUMP = re.compile(rb"\(\d{1,10}\.\d{6,9}\) \S{1,32} [0-9A-Fa-f]{3,8}#|\S{1,32} +[0-9A-Fa-f]{3,8} +\[\d{1,2}\] ")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 C = TypeVar("C")
 
@@ -38,6 +38,15 @@ C = TypeVar("C")
 def understood(counts: Mapping[str, int]) -> bool:
     """Was anything intact in the bytes? Not all that is makes a line: a receiver without satellites speaks, too."""
     return any(counts.get(name) for name in _INTACT)
+
+
+def why_nothing(counts: Mapping[str, int]) -> str | None:
+    """What is known of bytes in which nothing is intact."""
+    if counts.get("bad_unsummed"):
+        return "its sentences have no checksum, so nobody knows whether they arrived as sent: have the receiver add it"
+    if counts.get("fd_frames"):
+        return "its frames are CAN FD, which is not read: the counters are to come in classic frames"
+    return None
 
 
 class PassiveDecoder(Protocol):

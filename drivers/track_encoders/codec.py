@@ -36,8 +36,17 @@ _CANDUMP_LINE = re.compile(
     rf"{_STAMP} +(\S{{1,32}}) +{_IDENTIFIER}#(?:(R)([0-8])?|((?:[0-9A-Fa-f]{{2}}){{0,8}})(?:_[9A-Fa-f])?)(?: [RT])?\s*",
     re.ASCII,
 )
-CANDUMP_FD = re.compile(rf"{_STAMP} +(\S{{1,32}}) +{_IDENTIFIER}##[0-9A-Fa-f](?:[0-9A-Fa-f]{{2}}){{0,64}}(?: [RT])?\s*")
-"""A CAN FD frame in such a log."""
+_CANDUMP_SHOWN = re.compile(
+    rf" *(?:(?:{_STAMP}|\([0-9: .-]+\)) +)?(\S{{1,32}}) +(?:[RT]X [B-] [E-] +)?{_IDENTIFIER} +\[([0-8])\]"
+    r"(?: +(remote request)|((?: +[0-9A-Fa-f]{2}){0,8}))(?: +'.{0,8}')?(?: +ERRORFRAME)?\s*",
+    re.ASCII,
+)
+"""A line as candump shows it on a terminal, with or without a time."""
+CANDUMP_FD = re.compile(
+    rf"{_STAMP} +\S{{1,32}} +{_IDENTIFIER}##[0-9A-Fa-f](?:[0-9A-Fa-f]{{2}}){{0,64}}(?: [RT])?\s*"
+    rf"|[^\[]* {_IDENTIFIER} +\[[0-9]{{2}}\](?: .*)?"
+)
+"""A CAN FD frame in such a log, or as shown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,11 +119,21 @@ class LoggedFrame:
 
 
 def parse_candump_line(line: str) -> LoggedFrame | None:
-    """The frame in one line of `candump -l` or `-L`, with or without its direction; None where the line holds none."""
+    """The frame in one line of candump, whichever way it writes them; None where the line holds none.
+
+    A line without a time, or with a date, is stamped 0.
+    """
     match = _CANDUMP_LINE.fullmatch(line)
-    if match is None:
+    if match is not None:
+        seconds, fraction, interface, digits, remote, remote_dlc, data = match.groups()
+    elif (match := _CANDUMP_SHOWN.fullmatch(line)) is not None:
+        seconds, fraction, interface, digits, remote_dlc, remote, data = match.groups(default="")
+        data = "".join(data.split())
+        if not remote and len(data) != 2 * int(remote_dlc):
+            return None
+        seconds, fraction = seconds or "0", fraction or "0"
+    else:
         return None
-    seconds, fraction, interface, digits, remote, remote_dlc, data = match.groups()
     stamp_ns = int(seconds) * 1_000_000_000 + int(fraction.ljust(9, "0"))
     word = int(digits, 16)
     # Eight digits: a 29-bit identifier, or the error flag of the kernel's own word.

@@ -25,6 +25,7 @@ from service.config import load_for_ports
 from service.devices import Device, wiring
 from service.health import DeviceState
 from service.lifecycle import stop_on_signals
+from service.passive import why_nothing
 from service.readers import Readers
 
 EXIT_USAGE = 2
@@ -146,7 +147,7 @@ def _problems(device: Device, row: dict[str, Any], protocol: DeviceProtocol[Samp
             problems.append(f"{name}: {port}: {state}")
         case DeviceState.DEGRADED if not row["samples"]:
             understood = counts.get("frames", 0) + counts.get("sentences", 0)
-            what = NO_SAMPLES.get(name) if understood else None
+            what = NO_SAMPLES.get(name) if understood else why_nothing(counts)
             problems.append(f"{name}: {port} {what or f'gives bytes that are not understood{where}; {_mend(device)}'}")
         case DeviceState.DEGRADED if _damaged(row) > 0:
             problems.append(

@@ -23,19 +23,22 @@ from service.passive import (
     gps_config,
     read_dbc,
     understood,
+    why_nothing,
 )
 
 CHUNK_BYTES = 1 << 16
 _PACKETS = "they are a packet capture (pcap): give the bytes that the device sent, as `tshark -z follow,...,raw` does"
-_VECTOR = "they are a log of Vector's: python -m can.logconvert FILE drive.log (of python-can) makes one to decode"
+_CAN_LOG = "they are another program's CAN log: make one to decode with python-can, python -m can.logconvert FILE x.log"
 OTHER_FILES = {
     b"\x89MCAP": "it is a capture: terrabound replay",
     b"\x1f\x8b": "they are compressed: gzip -dc FILE | terrabound decode ... -",
     b"BZh": "they are compressed: bzip2 -dc FILE | terrabound decode ... -",
     b"\x28\xb5\x2f\xfd": "they are compressed: zstd -dc FILE | terrabound decode ... -",
     b"\xff\xfe": "they are text in UTF-16: give the bytes as the port gave them",
-    b"LOGG": _VECTOR,
-    b"date ": _VECTOR,
+    b"LOGG": _CAN_LOG,
+    b"date ": _CAN_LOG,
+    b"timestam": _CAN_LOG,
+    b";$FILEVE": _CAN_LOG,
     b"\xd4\xc3\xb2\xa1": _PACKETS,
     b"\x4d\x3c\xb2\xa1": _PACKETS,
     b"\x0a\x0d\x0d\x0a": _PACKETS,
@@ -81,16 +84,16 @@ def lms(file: File, /, *, measuring_mode: MeasuringMode | None = None, variant: 
 
 @app.command
 def encoders(file: File, /, *, dbc: Path, left: str, right: str) -> int:
-    """Track counters in CAN frames, from slcan text or a candump log (`candump -l`); which one it is, is found out.
+    """Track counters in CAN frames, from slcan text or candump's lines (`-l`, `-L`, or as shown); found out by itself.
 
     {"kind":"ticks","stamp_ns":..,"left":..,"right":..}
 
-    Counts are raw integers, unwrapped. stamp_ns is the time of the log's line; slcan text has none, it is 0 there.
+    Counts are raw integers, unwrapped. stamp_ns is the time of candump's line, 0 where it has none, as in slcan text.
 
     Parameters
     ----------
     file
-        What the slcan adapter sent, or a candump log.
+        What the slcan adapter sent, or candump.
     dbc
         DBC file that describes the messages.
     left
@@ -158,7 +161,8 @@ def _decode(decoder: PassiveDecoder, file: Path) -> int:
     if understood(decoder.counts):
         print(f"terrabound: {file}: {NO_LINE}", file=sys.stderr)
         return 0
-    why = next((what for magic, what in OTHER_FILES.items() if head.startswith(magic)), "are they of this device?")
+    why = next((what for magic, what in OTHER_FILES.items() if head.startswith(magic)), why_nothing(decoder.counts))
+    why = why or "are they of this device?"
     said = f"nothing in these bytes could be decoded; {why}" if byte_count else "is empty; give a file of raw bytes"
     print(f"terrabound: {file}: {said}", file=sys.stderr)
     return 1

@@ -21,7 +21,16 @@ from service.devices import NOW_OR_LATER
 from service.json_lines import counts_line, print_samples
 from service.lifecycle import stop_on_signals
 from service.live_line import LiveLine
-from service.passive import NO_LINE, encoders_config, gps_config, imu_config, laser_config, read_dbc, understood
+from service.passive import (
+    NO_LINE,
+    encoders_config,
+    gps_config,
+    imu_config,
+    laser_config,
+    read_dbc,
+    understood,
+    why_nothing,
+)
 
 LONGEST_READ_S = 0.05
 """A read returns at least this often, so that deadlines and Ctrl-C are seen."""
@@ -255,5 +264,7 @@ def _why_nothing(byte_count: int, protocol: DeviceProtocol[Sample]) -> str:
     if byte_count == 0:
         return "nothing came; check the device's power, its cable, and that it is this port"
     state = getattr(protocol, "state", None)
+    if why := why_nothing(protocol.counts):
+        return why
     where = f" (at the end: {state})" if state else ""
     return f"bytes came, but no sample{where}; check the rate (--baud) and that this device is on this port"

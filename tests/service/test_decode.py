@@ -17,7 +17,7 @@ import pytest
 from drivers.gps_nmea.codec import serialise
 from drivers.samples import Sample
 from drivers.sick_lms.telegrams import Command, request
-from drivers.track_encoders.codec import serialise_slcan
+from drivers.track_encoders.codec import parse_candump_line, serialise_slcan
 from service.cli import run_command
 from service.json_lines import sample_line
 from service.passive import EncodersFile, GpsFile, ImuFile, LmsFile, encoders_config, gps_config, read_dbc
@@ -118,6 +118,52 @@ def test_every_form_of_a_candump_log_is_read(decode: Decode, tmp_path: Path) -> 
         assert ticks[3]["stamp_ns"] == 1_627_276_800_130_000_000
         told = ("fd_frames", "error_frames", "remote_frames", "bad_length", "bad_lines", "other_frames")
         assert [count_of(name, counts) for name in told] == [1, 1, 1, 1, 2, 1]
+
+
+@pytest.mark.parametrize(
+    ("line", "stamp_ns"),
+    [
+        ("  can0  181   [4]  {bytes}", 0),  # as candump shows it
+        (" (1700000000.000001)  can0  181   [4]  {bytes}", 1_700_000_000_000_001_000),  # -t a
+        (" (000.020000)  vcan10  181   [4]  {bytes}   '........'", 20_000_000),  # -t z -a
+        (" (2026-11-26 07:00:00.000000)  can0  181   [4]  {bytes}", 0),  # -t A: no time is made of a date
+        (" (1700000000.000001)  can0  RX - -  181   [4]  {bytes}", 1_700_000_000_000_001_000),  # -t a -x
+    ],
+)
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_what_candump_shows_is_read_like_its_log(
+    line: str, stamp_ns: int, end: str, decode: Decode, tmp_path: Path
+) -> None:
+    """What somebody copied from a terminal: the counters of every frame, and its time where there is one."""
+    frames = [tracks_frame(count, -count) for count in range(3)]
+    text = [line.format(bytes=frame.data.hex(" ").upper()) + end for frame in frames]
+    (tmp_path / "log").write_text("".join(text), newline="")
+    ticks, counts = decode("encoders", tmp_path / "log", *TRACKS)
+    assert [(tick["left"], tick["right"]) for tick in ticks] == [(0, 0), (1, -1), (2, -2)]
+    assert {tick["stamp_ns"] for tick in ticks} == {stamp_ns}
+    assert count_of("frames", counts) == 3
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "  can0  123   [8]  01 02",  # cut off
+        "  can0  123  [12]  00 11 22 33 44 55 66 77 88 99 AA BB",  # CAN FD
+        "  can0  123   [9]  01 02 03 04 05 06 07 08 09",
+        "  can0   [8]  01 02 03 04 05 06 07 08",
+    ],
+)
+def test_of_a_line_that_holds_no_whole_frame_nothing_is_made(line: str) -> None:
+    """Neither of one that was cut off while it was copied."""
+    assert parse_candump_line(line) is None
+
+
+def test_sentences_without_a_checksum_are_told_as_such(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """They are not believed, and the words say why."""
+    text = serialise("GPGGA,235960.00,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,").split(b"*")[0]
+    (tmp_path / "log").write_bytes(10 * (text + b"\r\n"))
+    assert run_command(["decode", "gps", str(tmp_path / "log")]) == 1
+    assert "have no checksum" in capfd.readouterr().err
 
 
 def test_slcan_bytes_are_recognised_and_unwrapped(decode: Decode, tmp_path: Path) -> None:
