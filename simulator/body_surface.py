@@ -12,6 +12,8 @@ from simulator.terrain import Terrain, smoothed
 Array = NDArray[np.float64]
 
 SURFACE_STEP_M = 0.05
+LEAST_STEPS = 13
+"""... or so many to a track, where that is coarser."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,10 +39,10 @@ def body_surface(track_length_m: float, terrain: Terrain) -> BodySurface:
     low_y = max(terrain.y0_m, course.y_m - reach)
     high_x = min(terrain.x0_m + (nx - 1) * terrain.cell_m, course.x_m + reach)
     high_y = min(terrain.y0_m + (ny - 1) * terrain.cell_m, course.y_m + reach)
-    x = np.arange(low_x, high_x, SURFACE_STEP_M)
-    y = np.arange(low_y, high_y, SURFACE_STEP_M)
+    step = max(SURFACE_STEP_M, track_length_m / LEAST_STEPS)
+    x, y = np.arange(low_x, high_x, step), np.arange(low_y, high_y, step)
     top = terrain.height(*np.meshgrid(x, y))
-    return BodySurface(smoothed(top, track_length_m / 3.0 / SURFACE_STEP_M), float(x[0]), float(y[0]), SURFACE_STEP_M)
+    return BodySurface(smoothed(top, track_length_m / 3.0 / step), float(x[0]), float(y[0]), step)
 
 
 @compiled

@@ -54,6 +54,12 @@ class RobotModel:
     lateral_slip_ratio: float = 0.01
     turning_centre_m: float = 0.03
     normal_slip_ratio: float = 0.01
+    turning_gauge_m: tuple[float, float] | None = None
+    """[least, most] distance of the tracks' turning centres, anywhere within at any time; None: always the gauge."""
+    pulled: bool = False
+    """Does what slips go one way wherever the track turns, as on a slope?"""
+    sinks: bool = False
+    """Does it sink and rise by the error law, instead of bouncing along the path?"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,6 +165,9 @@ def _drive(model: RobotModel, surface: BodySurface, course: Course, law: ErrorLa
     v, spin = motion_profile(np.asarray(half_ns * 1e-9, np.float64), duration_s, course)
     side = law.channel("slip.lateral").smooth(half_ns) * model.lateral_slip_ratio * INSIDE
     centre = law.channel("slip.centre").smooth(half_ns) * model.turning_centre_m * INSIDE
+    normal = np.full(len(half_ns), model.normal_slip_ratio * INSIDE)
+    if model.sinks:
+        normal *= law.channel("slip.normal").smooth(half_ns)
     path = np.array(
         [
             course.straight_m,
@@ -179,7 +188,8 @@ def _drive(model: RobotModel, surface: BodySurface, course: Course, law: ErrorLa
         spin,
         side,
         centre,
-        model.normal_slip_ratio * INSIDE,
+        normal,
+        model.sinks,
         pose,
         turned,
         rate,
@@ -188,12 +198,22 @@ def _drive(model: RobotModel, surface: BodySurface, course: Course, law: ErrorLa
     )
     force = np.gradient(velocity, STEP_NS * 1e-9, axis=0)
     force = np.einsum("nji,nj->ni", rotations(pose), force) + _gravity_in_body(pose)
-    half = 0.5 * model.track_gauge_m
-    ground = np.column_stack([travelled[:, 0] - half * turned[:, 2], travelled[:, 0] + half * turned[:, 2]])
+    half = 0.5 * _wound(model, law, turned[:, 2])
+    ground = np.column_stack([travelled[:, 0] - half, travelled[:, 0] + half])
     first = STANDSTILL_NS * 1e-9
     reversals = [begin for begin, _ in _schedule(course, first, duration_s)] if course.manoeuvres else []
     tracks = _with_slip(model, law, ground, reversals)
     return Drive(pose, turned, rate, v[::2].copy(), travelled[:, 0], velocity, force, ground, tracks)
+
+
+def _wound(model: RobotModel, law: ErrorLaw, turned: Array) -> Array:
+    """[N] integral of ω_z times the distance of the turning centres: what one track goes further than the other."""
+    if model.turning_gauge_m is None:
+        return model.track_gauge_m * turned
+    least, most = model.turning_gauge_m
+    t_ns = np.arange(len(turned) - 1, dtype=np.int64) * STEP_NS
+    share = 0.5 + 0.5 * INSIDE * law.channel("turning.gauge").over(t_ns // SLIP_SLOT_NS * SLIP_SLOT_NS)
+    return np.concatenate([[0.0], np.cumsum((least + (most - least) * share) * np.diff(turned))])
 
 
 def _with_slip(model: RobotModel, law: ErrorLaw, ground: Array, reversals: Sequence[float]) -> Array:
@@ -209,7 +229,10 @@ def _with_slip(model: RobotModel, law: ErrorLaw, ground: Array, reversals: Seque
     tracks = np.zeros_like(ground)
     for side, name in enumerate(("slip.left", "slip.right")):
         share = law.channel(name).over(slot_ns)
-        steps = np.diff(ground[:, side]) / (1.0 + model.slip_ratio * INSIDE * share)
+        way = np.diff(ground[:, side])
+        if model.pulled:
+            share = share * np.sign(way)
+        steps = way / (1.0 + model.slip_ratio * INSIDE * share)
         tracks[1:, side] = np.cumsum(steps)
     return tracks
 
@@ -278,6 +301,7 @@ def _motion(
     side: float,
     centre: float,
     normal: float,
+    sinks: bool,
     out: Array,
     attitude: Array,
 ) -> None:
@@ -291,7 +315,7 @@ def _motion(
     roll = -atan2(b, sqrt(1.0 + a * a))
     cp, sp, cr, sr = cos(pitch), sin(pitch), cos(roll), sin(roll)
     yaw_rate = _curvature(path, state[0]) * v + spin
-    v_n = normal * v * sin(2.0 * pi / BOUNCE_LENGTH_M * state[0])
+    v_n = normal * v * (1.0 if sinks else sin(2.0 * pi / BOUNCE_LENGTH_M * state[0]))
     forward_x = cy * cp * v + (cy * sp * cr + sn * sr) * v_n
     forward_y = sn * cp * v + (sn * sp * cr - cy * sr) * v_n
     left_x = cy * sp * sr - sn * cr
@@ -328,14 +352,15 @@ def _integrate(
     spin: Array,
     side: Array,
     centre: Array,
-    normal: float,
+    normal: Array,
+    sinks: bool,
     pose: Array,
     turned: Array,
     rate: Array,
     velocity: Array,
     travelled: Array,
 ) -> None:
-    """Runge-Kutta 4 with steps of 1 ms; v, spin, side and centre are given every half step.
+    """Runge-Kutta 4 with steps of 1 ms; v, spin, side, centre and normal are given every half step.
 
     Element by element: whole-array statements would make this eight times slower to compile.
     """
@@ -351,7 +376,9 @@ def _integrate(
             ahead = 0.0 if stage == 0 else (h if stage == 3 else 0.5 * h)
             for k in range(8):
                 trial[k] = state[k] + ahead * slope[k]
-            _motion(c, x0, y0, step, path, trial, v[m], spin[m], side[m], centre[m], normal, slope, attitude)
+            _motion(
+                c, x0, y0, step, path, trial, v[m], spin[m], side[m], centre[m], normal[m], sinks, slope, attitude
+            )  # fmt: skip
             if stage == 0:
                 for k in range(3):
                     pose[i, k] = state[1 + k]

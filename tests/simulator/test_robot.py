@@ -171,3 +171,18 @@ def test_in_the_yard_tracks_turn_against_each_other_and_backwards() -> None:
     assert truth.speed.min() < -0.2
     assert truth.speed.max() > 0.2
     assert np.abs(truth.pose[:, :2]).max() < 6.0
+
+
+def test_turning_centres_sinking_and_slip_keep_what_is_declared_of_them() -> None:
+    """The tracks differ by the turn times a distance within [least, most]; normal speed and slip stay within ratios."""
+    model = RobotModel(turning_gauge_m=(0.4, 0.6), pulled=True, sinks=True, normal_slip_ratio=0.1, slip_ratio=0.2)
+    truth = plan_drive(model, build_terrain("yard", 2), ErrorLaw("corners", 2), 20.0)
+    apart, turn = np.diff(truth.ground[:, 1] - truth.ground[:, 0]), np.diff(truth.turned[:, 2])
+    least, most = np.minimum(0.4 * turn, 0.6 * turn), np.maximum(0.4 * turn, 0.6 * turn)
+    assert np.all((least - 1e-15 <= apart) & (apart <= most + 1e-15))
+    assert np.ptp(apart[np.abs(turn) > 1e-6] / turn[np.abs(turn) > 1e-6]) > 0.19
+    normal = np.einsum("nji,nj->ni", rotations(truth.pose), truth.velocity)[:, 2]
+    assert np.all(np.abs(normal) <= 0.1 * np.abs(truth.speed) + 1e-12)
+    assert np.abs(normal).max() > 0.05 * np.abs(truth.speed).max()
+    slipped, way = np.diff(truth.ground - truth.tracks, axis=0), np.diff(truth.tracks, axis=0)
+    assert np.all(np.abs(slipped) <= 0.2 * np.abs(way) + 1e-15)
