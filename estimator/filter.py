@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.config import EncodersConfig, GpsConfig, ImuConfig
-from drivers.samples import Fix, InertialSample, WheelTicks
+from drivers.samples import Fix, InertialSample, Stamp, WheelTicks
 from estimator.bounded_pose import INTACT, Anchor, BoundedPose, Guarantee, PlanarEllipsoid, Status
 from estimator.config import FilterConfig, RobotConfig
 from estimator.inconsistency import SENSORS, SUSPECTS, Fault
@@ -55,6 +55,8 @@ class Filter:
         self._newer_ns: int | None = None
         self._before_newer: list[Reading] = []
         self._since_newer: list[Reading] = []
+        self._frame: Stamp | None = None
+        """At which reading the map frame began; known once a fault has been found."""
 
     # ---------------------------------------------------------------- samples in
 
@@ -88,6 +90,7 @@ class Filter:
         assert found is not None
         left = [poses for poses in self._hypotheses if poses not in contradicted]
         first = self._until_ns is None
+        self._frame = self._frame or contradicted[0].began
         since_ns = min(self._older.settled_ns or 0, found.time_ns)
         if not left and first:
             left = self._without_each(SUSPECTS[found.sensor])
@@ -124,8 +127,18 @@ class Filter:
         return [poses for poses in driven if poses.journal.contradiction is None]
 
     def _driven_again(self, ignored: frozenset[str]) -> PoseSet:
-        """From the older checkpoint to now without the word of some sensors, or to the first contradiction."""
-        poses = self._older.copy(Counter(), ignored)
+        """From the older checkpoint to now without the word of some sensors, or to the first contradiction.
+
+        Poses stay in the frame that the map began in, where that came after the checkpoint, even if its sensors alone
+        would not have told enough to begin one there.
+        """
+        poses = self._driven(self._older.copy(Counter(), ignored))
+        if self._frame not in (None, poses.began) and poses.journal.contradiction is None:
+            poses = self._driven(self._older.copy(Counter(), ignored, self._frame))
+        return poses
+
+    def _driven(self, poses: PoseSet) -> PoseSet:
+        """A copy of the older checkpoint, given all samples since, or those up to the first contradiction."""
         for samples in (self._before_newer, self._since_newer):
             for sample in samples:
                 poses.accept(sample)
@@ -135,10 +148,11 @@ class Filter:
 
     def _believe_again(self) -> None:
         """The fault is taken to be over: one pose set again, on the word of all sensors."""
-        poses = self._hypotheses[0]
-        for other in self._hypotheses[1:]:
+        # Where not all know of a map frame no pose was given, and those that know of none begin it.
+        poses, *others = sorted(self._hypotheses, key=lambda one: one.begun)
+        for other in others:
             poses.join(other)
-        poses.ignored = frozenset()
+        poses.believe_all(self.counts)
         self._hypotheses = [poses]
         self._until_ns = None
         self.guarantee = replace(self.guarantee, status=Status.NOMINAL, restored_ns=self._now_ns)

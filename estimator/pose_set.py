@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.config import EncodersConfig, GpsConfig, ImuConfig
-from drivers.samples import ABSENT3, Fix, InertialSample, WheelTicks
+from drivers.samples import ABSENT3, Fix, InertialSample, Stamp, WheelTicks
 from estimator.anchoring import Anchoring
 from estimator.attitude import EARTH_YAW, MAP_YAW, AttitudeChain
 from estimator.bounded_pose import Anchor, PlanarEllipsoid
@@ -58,6 +58,10 @@ class PoseSet:
         self.journal = Journal(counts)
         self.ignored: frozenset[str] = frozenset()
         """Sensors that count as missing."""
+        self.began: Stamp | None = None
+        """Of the reading at which the map frame began."""
+        self._begins_at: Stamp | None = None
+        """The frame is another set's, which began at this reading: whatever is known of the attitude then."""
         self._attitude = AttitudeChain(robot, config, imu, self.journal)
         self._position = POSITION_CHAINS[config.set](robot, config, encoders, self._attitude, self.journal)
         self._track_yaw = TrackYaw(robot.turning_gauge_m, self._position.tracks, self._attitude, self.journal)
@@ -70,9 +74,15 @@ class PoseSet:
         self._fixes: deque[Fix] = deque(maxlen=PENDING)
         self._uncounted = 0
 
-    def copy(self, counts: Counter[str], ignored: frozenset[str] | None = None) -> "PoseSet":
-        """The same set with a life of its own; `ignored`: without the word of other sensors from here on."""
+    def copy(
+        self, counts: Counter[str], ignored: frozenset[str] | None = None, begins_at: Stamp | None = None
+    ) -> "PoseSet":
+        """The same set with a life of its own; `ignored`: without the word of other sensors from here on.
+
+        begins_at: the reading at which the map frame began that the poses shall be in; None: where they can be known.
+        """
         new = deepcopy(self)
+        new._begins_at = begins_at
         new.journal.counts = counts
         new.journal.contradiction = None
         if ignored is not None:
@@ -84,6 +94,10 @@ class PoseSet:
             if "encoders" in ignored:
                 new._ticks = deque((new._untold(ticks) for ticks in new._ticks), PENDING)
         return new
+
+    def believe_all(self, counts: Counter[str]) -> None:
+        """From here on again on the word of all sensors, and the one pose set whose events are counted."""
+        self.ignored, self._begins_at, self.journal.counts = frozenset(), None, counts
 
     # ---------------------------------------------------------------- samples in
 
@@ -144,13 +158,16 @@ class PoseSet:
         queue.append(sample)  # type: ignore[arg-type]  # each queue is given its own kind
 
     def _may_travel(self) -> bool:
-        """Once positions have begun, always; they then bear an unknown attitude too."""
-        return self._attitude.level or len(self._position.tube) > 0
+        """Once positions have begun, or must, always; they then bear an unknown attitude too."""
+        begun = len(self._position.tube) > 0 or (self._begins_at is not None and len(self._attitude.packets) > 1)
+        return self._attitude.level or begun
 
     def _travel(self, ticks: WheelTicks) -> None:
         """The map begins at the first reading; then each is a node further."""
-        if self._position.last_ticks is None and not self._position.begin(ticks):
-            return
+        if self._position.last_ticks is None:
+            if self._begins_at not in (None, ticks.stamp) or not self._position.begin(ticks):
+                return
+            self.began = ticks.stamp
         self._standstill.watch(ticks)
         if self._position.last_ticks is not ticks:
             step = self._position.predict(ticks)

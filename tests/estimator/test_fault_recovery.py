@@ -1,9 +1,13 @@
 """When a fault is over: the pose is called good again, and is; it is tight; what was false meanwhile is taken back."""
 
+from dataclasses import replace
+from math import radians
+
 import numpy as np
 import pytest
 
-from bench.fault_drive import drive, world_of
+from bench.fault_drive import Meddle, Reading, drive, settings, world_of
+from drivers.samples import ABSENT3, InertialSample
 from estimator.bounded_pose import Status
 from estimator.config import FilterConfig, SetName
 from simulator.faults import Fault, FaultMaker, GpsJump, StuckGyro, TiltSpike, WrongTracks
@@ -109,3 +113,36 @@ def test_the_doubt_ends_where_no_later_reading_reaches() -> None:
         assert its is not None
         assert np.array_equal(mine.low, its.low)
         assert np.array_equal(mine.high, its.high)
+
+
+def tilt_alone_and_off(reading: Reading, t_s: float) -> Reading:
+    """No accelerometer, and a tilt sensor that is off by 8 degrees until 7.5 s."""
+    if not isinstance(reading, InertialSample):
+        return reading
+    roll, pitch = reading.tilt_rad
+    return replace(reading, accel_mps2=ABSENT3, tilt_rad=(roll, pitch - radians(8.0) * (t_s < 7.5)))
+
+
+def two_at_once() -> Meddle:
+    """Receiver and tracks break in the fourth second; the first gyro packet comes after the first count."""
+    faults = GpsJump(3.2, 5.5, 3.0), WrongTracks(3.0, 5.5, (1.0, 1.6))
+
+    def changed(reading: Reading, t_s: float) -> Reading:
+        for fault in faults:
+            reading = fault.changed(reading, t_s)
+        if isinstance(reading, InertialSample) and t_s < 0.01:
+            return replace(reading, gyro_rps=ABSENT3)
+        return reading
+
+    return changed
+
+
+@pytest.mark.parametrize("meddle", [tilt_alone_and_off, two_at_once()], ids=["tilt alone", "two sensors at once"])
+def test_a_fault_in_the_first_seconds_leaves_poses_in_the_frame_that_the_map_began_in(meddle: Meddle) -> None:
+    """Also on the word of sensors that alone would not have begun one then: it is driven from before the beginning."""
+    outcome = drive(meddle, settings(), world_of("uniform", 2, 30.0), until_s=16.0)
+    guarantee = outcome.filter.guarantee
+    assert guarantee.restored_ns is not None
+    assert outcome.checks > 150
+    assert outcome.told == 0
+    assert outcome.not_taken_back == 0
