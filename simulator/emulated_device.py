@@ -10,7 +10,8 @@ from pathlib import Path
 
 from drivers.clock import SystemClock
 from drivers.config import DevicesConfig
-from simulator.emulated_robot import REAL_TIME_SLICE_NS, SLICE_NS, emulate_devices, plug_in
+from simulator.emulated_devices import emulate_devices, plug_in
+from simulator.emulated_robot import REAL_TIME_SLICE_NS, SLICE_NS
 from simulator.emulators.emulator import Emulator
 from simulator.emulators.faulty import FaultyEmulator
 from simulator.line_faults import LINES, Fault, LineFaults

@@ -23,29 +23,20 @@ from pathlib import Path
 from typing import Literal
 
 from drivers.clock import LockstepClock, SystemClock
-from drivers.config import READ_ALLOWANCE_NS, DevicesConfig, LatencyMs
-from drivers.errors import ConfigurationError, PortLost
-from simulator.emulators.emulator import Emulator
-from simulator.emulators.gps import GpsEmulator
-from simulator.emulators.imu import ImuEmulator
-from simulator.emulators.sick_lms import SickLmsEmulator
-from simulator.emulators.track_encoders import TrackEncodersEmulator
-from simulator.ports import PseudoPort
-from simulator.wire import PluggedWires, Wire
+from drivers.config import DevicesConfig
+from drivers.errors import PortLost
+from simulator.emulated_devices import PluggedDevices, plug_in_all
+from simulator.wire import PluggedWires
 from simulator.world import World
 
 SLICE_NS = 10_000_000
 REAL_TIME_SLICE_NS = 2_000_000
-SLOW_SENSOR_PERIOD_NS = 20_000_000
-"""Accelerometers and tilt sensor: 50 Hz, beside the gyroscope's 200."""
 SETTLE_S = 0.05
 """Hosts may flush a port just after they have opened it: nothing is sent for so long."""
 PATIENCE_S = 60.0
 """How long a host may take over the bytes of one slice: it may have to compile first."""
 PROGRESS_EVERY_NS = 200_000_000
 BEGIN_GRID_NS = 5_000_000_000
-
-DEVICES = ("laser", "encoders", "imu", "gps")
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +92,7 @@ def run_emulated_robot(
     slice_ns = slice_ns or (SLICE_NS if clock else REAL_TIME_SLICE_NS)
     start_ns = world.start_ns if clock else SystemClock().now_ns()
     in_time = punctual and clock is None
-    plugged = _plug_in(world, devices, links, slice_ns, start_ns, in_time)
+    plugged = plug_in_all(world, devices, links, slice_ns, start_ns, in_time)
     try:
         with _ahead_of_others() if in_time else contextlib.nullcontext():
             _Run(world, plugged, clock, speed, slice_ns, on_progress, stopping, stay, meddle).run(truth_path)
@@ -127,27 +118,13 @@ def _ahead_of_others() -> Iterator[None]:
             os.sched_setscheduler(0, before, os.sched_param(0))
 
 
-@dataclass(frozen=True, slots=True)
-class _Devices:
-    """The robot's devices, plugged in."""
-
-    laser: SickLmsEmulator
-    encoders: TrackEncodersEmulator
-    wires: list[Wire]
-
-    @property
-    def heard(self) -> bool:
-        """Do the hosts get scans and counts?"""
-        return self.laser.streaming and self.laser.scans_sent > 0 and self.encoders.is_open
-
-
 class _Run:
     """The state of one run."""
 
     def __init__(
         self,
         world: World,
-        devices: _Devices,
+        devices: PluggedDevices,
         clock: LockstepClock | None,
         speed: float | None,
         slice_ns: int,
@@ -270,91 +247,3 @@ class _Pace:
         left_s = self._next_s - time.monotonic()
         if left_s > 0:
             time.sleep(left_s)
-
-
-def _plug_in(
-    world: World,
-    devices: DevicesConfig,
-    links: Mapping[str, Path] | Path,
-    slice_ns: int,
-    start_ns: int,
-    punctual: bool,
-) -> _Devices:
-    """Switch the devices on at `start_ns` and plug them in."""
-    readers_ns = READ_ALLOWANCE_NS if punctual else 0
-    laser, encoders, emulators = emulate_devices(world, devices, slice_ns + readers_ns, start_ns)
-    paths = {name: links / name for name in DEVICES} if isinstance(links, Path) else links
-    wires = []
-    for name in [name for name in emulators if name in paths]:
-        wire = Wire(name, emulators[name], plug_in(paths[name]))
-        if punctual:
-            # A host that is kept from reading measures how long the pty held bytes for it; ours must come in time.
-            most_ns = round(1e6 * getattr(devices, name).latency_ms[1]) - READ_ALLOWANCE_NS
-            wire.patience_ns = most_ns - getattr(emulators[name], "latency_ns", 0)
-            wire.port.keeps_backlog = False
-        wires.append(wire)
-    return _Devices(laser, encoders, wires)
-
-
-def plug_in(link: Path) -> PseudoPort:
-    """A pseudo-terminal under this link. Raises ConfigurationError where something else has that name."""
-    if link.exists() and not link.is_symlink():
-        raise ConfigurationError(f"{link}: exists and is no link; name another path for the emulated port")
-    link.parent.mkdir(parents=True, exist_ok=True)
-    return PseudoPort(link)
-
-
-def emulate_devices(
-    world: World, devices: DevicesConfig, slice_ns: int, start_ns: int, own_messages: bool = False
-) -> tuple[SickLmsEmulator, TrackEncodersEmulator, dict[str, Emulator]]:
-    """The robot's devices, switched on at `start_ns`: the laser, the encoders, and all of them by name.
-
-    `own_messages`: the inertial board speaks those of drivers/imu/terrabound.xml.
-    """
-    imu, gps = devices.imu, devices.gps
-    laser = SickLmsEmulator(world.measure, start_ns=start_ns)
-    encoders = TrackEncodersEmulator(
-        world.count,
-        start_ns=start_ns,
-        bitrate=devices.encoders.bitrate,
-        latency_ns=_latency_ns("encoders", devices.encoders.latency_ms, slice_ns),
-    )
-    emulators: dict[str, Emulator] = {
-        "laser": laser,
-        "encoders": encoders,
-        "imu": ImuEmulator(
-            world.gyro,
-            world.accel,
-            world.tilt,
-            start_ns=start_ns,
-            accel_period_ns=SLOW_SENSOR_PERIOD_NS,
-            tilt_period_ns=SLOW_SENSOR_PERIOD_NS,
-            baud=imu.baud,
-            latency_ns=_latency_ns("imu", imu.latency_ms, slice_ns),
-            own_messages=own_messages,
-            clock_ppm=imu.clock_drift_ppm * 0.99 * world.law.channel("imu.clock").level,
-        ),
-    }
-    if gps is not None:
-        emulators["gps"] = GpsEmulator(
-            world.position,
-            start_ns=start_ns,
-            baud=gps.baud,
-            latency_ns=_latency_ns("gps", gps.latency_ms, slice_ns),
-            quality=4 if world.rtk else 2,
-            sigma_m=world.gst_sigma_m,
-            velocity=world.ground_velocity,
-        )
-    return laser, encoders, emulators
-
-
-def _latency_ns(device: str, latency_ms: LatencyMs, slice_ns: int) -> int:
-    """From acquisition to the wire, such that with a slice on top it stays in the middle of what is declared."""
-    least, most = latency_ms
-    room_ms = most - least - slice_ns * 1e-6
-    if room_ms < 0:
-        raise ConfigurationError(
-            f"devices.{device}.latency_ms: [{least:g}, {most:g}] is narrower than the {slice_ns * 1e-6:g} ms slices of "
-            "the emulated robot; declare a wider interval"
-        )
-    return round((least + 0.5 * room_ms) * 1e6)

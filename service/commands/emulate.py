@@ -19,7 +19,8 @@ from service.lifecycle import stop_on_signals
 from service.output_files import refuse_unwritable
 from service.robot_model import robot_model
 from service.shipped import shipped_config
-from simulator.emulated_robot import DEVICES, Progress, print_progress, run_emulated_robot
+from simulator.emulated_devices import DEVICES
+from simulator.emulated_robot import Progress, print_progress, run_emulated_robot
 from simulator.errors import ErrorLaw
 from simulator.terrain import build_terrain
 from simulator.world import World

@@ -20,7 +20,8 @@ from service.messages import write_pose
 from service.onboard import Onboard
 from service.robot_model import robot_model
 from service.shipped import shipped_config
-from simulator.emulated_robot import DEVICES, Progress, run_emulated_robot
+from simulator.emulated_devices import DEVICES
+from simulator.emulated_robot import Progress, run_emulated_robot
 from simulator.errors import ErrorLaw
 from simulator.terrain import build_terrain
 from simulator.truth import Truth

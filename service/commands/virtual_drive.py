@@ -22,7 +22,8 @@ from service.map_update import MAP_FRAME
 from service.pipeline import Pipeline
 from service.robot_model import robot_model
 from service.sample_queue import Arrival
-from simulator.emulated_robot import SLICE_NS, emulate_devices
+from simulator.emulated_devices import emulate_devices
+from simulator.emulated_robot import SLICE_NS
 from simulator.emulators.emulator import Emulator
 from simulator.errors import ErrorLaw
 from simulator.terrain import build_terrain

@@ -19,7 +19,8 @@ from drivers.samples import Fix, InertialSample, Sample, Scan, WheelTicks
 from drivers.sick_lms.protocol import SickLmsProtocol
 from drivers.track_encoders.protocol import TrackEncoderProtocol
 from drivers.transports import open_serial
-from simulator.emulated_robot import DEVICES, Progress, run_emulated_robot
+from simulator.emulated_devices import DEVICES
+from simulator.emulated_robot import Progress, run_emulated_robot
 from simulator.emulators.sick_lms import SickLmsEmulator
 from simulator.errors import ErrorLaw
 from simulator.ports import PseudoPort
