@@ -17,9 +17,10 @@ from drivers.samples import Stamp
 from estimator.attitude import AttitudeChain
 from estimator.inconsistency import Journal
 from estimator.interval import Interval, add, down, is_empty, meet, mid, mul, neg, reach, scale, up, widen
-from estimator.motion import QUANTUM, TrackBounds, variation
+from estimator.motion import QUANTUM, TrackBounds
 from estimator.position import Step
 from estimator.rate_integral import integral_between
+from estimator.tracks import to_and_fro
 from estimator.tube import first_not_before, last_not_after
 
 LONGEST = 16
@@ -47,11 +48,11 @@ class SpeedChange:
         """A step further, up to the count with this stamp."""
         if not step.counted:
             self._known = 0
+        tube = self._attitude.tube
         self._known, beyond = follow(
-            self._steps, self._stamps, self._speeds, self._known, step.left, step.right, step.time_high,
+            self._steps, self._stamps, self._speeds, self._known, step.left, step.right, step.turning, step.time_high,
             stamp.earliest_ns, stamp.latest_ns, self._tracks, self._gauge is not None, self._gauge or (0.0, 0.0),
-            self._attitude.tube.times, self._attitude.tube.net, self._attitude.tube.effort, self._attitude.tube.begin,
-            self._attitude.tube.end,
+            tube.times, tube.net, tube.effort, tube.begin, tube.end,
         )  # fmt: skip
         if beyond > 0.0:
             self._journal.report("encoders", stamp.mid_ns, beyond, "m/s")
@@ -65,6 +66,7 @@ def follow(
     known: int,
     left: float,
     right: float,
+    turning: float,
     time_high: float,
     earliest_ns: int,
     latest_ns: int,
@@ -79,7 +81,8 @@ def follow(
 ) -> tuple[int, float]:
     """A count further: how many are known now, and by how much (m/s) two stretches miss each other; 0: they don't.
 
-    known 0: the step before this count is not one. `geared`: the tracks' difference is [gauge] times the turn.
+    known 0: the step before this count is not one. turning: no less than the integral of |ω_z| over it. `geared`: the
+    tracks' difference is [gauge] times the turn.
     """
     bounds = TrackBounds(*tracks)
     for k in range(min(known, LONGEST), 0, -1):
@@ -90,11 +93,9 @@ def follow(
         return 1, 0.0
     known = min(known + 1, LONGEST + 1)
     a = bounds.most_acceleration
-    for track, way, quantum in ((0, left, bounds.quantum_left), (1, right, bounds.quantum_right)):
-        steps[0, track] = way
-        steps[0, 2 + track] = up(
-            bounds.slip * variation((way, way), quantum, bounds.most_track_acceleration, time_high)
-        )
+    steps[0, 0], steps[0, 1] = left, right
+    ways = to_and_fro(left, right, turning, time_high, bounds)
+    steps[0, 2], steps[0, 3] = up(bounds.slip * ways[0]), up(bounds.slip * ways[1])
     now = widen((speeds[1, 0], speeds[1, 1]), up(a * up((latest_ns - stamps[1, 0]) * 1e-9)))
     b_before, b = last_not_after(times, begin, end, earliest_ns), first_not_before(times, begin, end, latest_ns)
     gone, slips = np.zeros(2), np.array([bounds.quantum_left, bounds.quantum_right])

@@ -60,8 +60,8 @@ def told_at(
         earliest = int(at_ns[k] - early[k])
         seconds = (2 * width_ns + STEP_NS) * 1e-9
         known, beyond = follow(
-            steps, stamps, speeds, known, left, right, seconds, earliest, earliest + width_ns, tuple(TRACKS), geared,
-            gauge, times, net, effort, 0, k + 4,
+            steps, stamps, speeds, known, left, right, seconds, seconds, earliest, earliest + width_ns, tuple(TRACKS),
+            geared, gauge, times, net, effort, 0, k + 4,
         )  # fmt: skip
         if beyond > 0.0:
             told.append(k)
