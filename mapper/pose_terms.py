@@ -81,8 +81,8 @@ YAW_KEPT = 0.5
 # One row for a pose; read as float64:
 P_LOW = 0  # the pose box's x, y, z, less the padding
 P_HIGH = 3  # ... and with it
-P_CENTRE = 6  # [3, 3] v - s along x, y, z: by r cos th, r sin th, and what does not depend on the beam
 # The others are read as float32.
+P_CENTRE = 6  # [3, 3] v - s along x, y, z: by r cos th, r sin th, and what does not depend on the beam
 P_U_COS = 15  # u = U_COS cos th + U_SIN sin th
 P_U_SIN = 18
 P_RANGE_BOUND = 21

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.compiled import compiled, compiled_into_callers
-from mapper.grid import TILE_SIDE, tile_corner_m
+from mapper.grid import TILE_SIDE
 
 Layer = NDArray[np.float32]
 Flags = NDArray[np.bool_]
@@ -94,11 +94,6 @@ class Tile:
     def has_settled(self) -> bool:
         """Is any cell settled? Never so where the map keeps no evidence."""
         return self.settled_low is not NOWHERE
-
-    @property
-    def corner_m(self) -> tuple[float, float]:
-        """Low corner (x, y) in the map frame."""
-        return tile_corner_m(self.ix, self.iy, self.resolution_m)
 
 
 def sealed_tile(submap: int, ix: int, iy: int, resolution_m: float, *layers: NDArray[Any]) -> Tile:

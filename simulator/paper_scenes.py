@@ -18,8 +18,6 @@ STAIRS_STEPS = 5
 STAIRS_HEADING_DEG = 6.0
 SNOW_AHEAD_M = 2.0
 """Where the 4 m by 6 m of snow begin, in front of the robot."""
-SNOW_LENGTH_M = 6.0
-SNOW_WIDTH_M = 4.0
 LOST_IN_SNOW = 0.15
 
 

@@ -237,7 +237,7 @@ def test_far_from_the_origin_hits_are_inside_too(resolution: float, away_km: flo
             x, y, z = pose[:3] + rotation(*pose[3:]) @ (np.array([0.2, 0.0, 0.468]) + beam)
             low_z, high_z = interval(tiles, x, y, resolution)
             assert low_z <= z <= high_z
-        assert all(tile.corner_m[0] * sign_x > 0 for tile in tiles.values())
+        assert all(tile.ix * sign_x > 0 for tile in tiles.values())
 
 
 def test_bad_ranges_and_poses_are_counted_and_harm_nothing() -> None:
