@@ -100,6 +100,13 @@ class LaserConfig:
     mount_angle_bound_deg: NotNegative
     """Calibration error of each mounting angle."""
 
+    @property
+    def telegram_ms(self) -> float:
+        """How long a scan is on the line: two bytes a beam, eight around them and two to be sure, ten bits a byte."""
+        whole = (self.scan_angle_deg, self.resolution_deg) != (180, 0.25)
+        beams = self.scan_angle_deg / self.resolution_deg + 1 if whole else 181
+        return 1000 * 10 * (2 * beams + 10) / self.baud
+
     @model_validator(mode="after")
     def _variant_exists(self) -> Self:
         if self.scan_angle_deg == 90 and self.resolution_deg != 0.5:

@@ -47,6 +47,8 @@ class StoreConfig:
 
 
 MOST_LATENCY_MS = 60_000.0
+SPARE_MS = 20.0
+"""For threads that wait for their turn."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -70,6 +72,19 @@ class Config:
                     f"devices.{entry.name}.latency_ms: {device.latency_ms[1]:g} should be at most {MOST_LATENCY_MS:g} "
                     "(milliseconds); no reading can be used that late"
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _scans_come_inside_the_window(self) -> Self:
+        laser, window_ms = self.devices.laser, self.filter.reordering_window_ms
+        # At once, and no sooner, a scan is there: later ones than the window are not mapped, which is sound.
+        line_ms, (least_ms, most_ms) = laser.telegram_ms, laser.latency_ms
+        if line_ms + least_ms + SPARE_MS > window_ms:
+            raise ValueError(
+                f"filter.reordering_window_ms: {window_ms:g} should be {line_ms + most_ms + SPARE_MS:.0f} or more: "
+                f"a scan is {line_ms:.0f} ms on the line at {laser.baud} baud, devices.laser.latency_ms comes on top, "
+                "and what comes later than the window is not mapped"
+            )
         return self
 
 
@@ -164,6 +179,8 @@ def _explain(entry: Any) -> str:
         return f"{path}: unknown key; {advice}"
     if kind in ("missing", "missing_argument", "missing_keyword_only_argument"):
         return f"{path}: missing; it has no default, only the owner can know it"
+    if kind in ("tuple_type", "list_type") and not isinstance(found, dict):
+        return f"{path}: {found!r} should be a list, in brackets"
     message = re.sub(r"^(Value error, |Input )", "", entry["msg"])
     if isinstance(found, dict):  # about several keys at once: it names them
         return f"{path}: {message}" if path else message

@@ -114,7 +114,8 @@ def _counted(chunks: Iterable[RawChunk], tell: Callable[[str], None]) -> Iterato
 
 def _report(pipeline: Pipeline, recording: Capture) -> None:
     """What came of it, on standard error."""
-    counts = " ".join(f"{name}={count}" for name, count in sorted(pipeline.counts.items()))
+    told = {f"late_{name}": count for name, count in pipeline.late.items()} | pipeline.counts
+    counts = " ".join(f"{name}={count}" for name, count in sorted(told.items()))
     guarantee = pipeline.filter.guarantee
     promise = "bounds hold" if guarantee.intact else f"bounds void: contradicted by {guarantee.sensor}"
     cut = "; the recording is cut short, replayed up to the cut" if recording.truncated else ""

@@ -1,10 +1,12 @@
 """`terrabound run`: the service on the robot."""
 
-import contextlib
 import gc
 import os
 import sys
+import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,6 +24,11 @@ if TYPE_CHECKING:
     from service.onboard import Onboard
 
 TICK_S = 0.5
+SLOW_START_S = 6.0
+STILL_LOADING = (
+    "still loading: a first start makes machine code for this computer, which takes a minute or more (once); "
+    "Ctrl-C twice ends it"
+)
 SWITCH_S = 0.001
 """So long a thread that wants the interpreter waits for one that is busy; 5 ms would be half of a tile's time."""
 
@@ -48,7 +55,8 @@ def run(*, config: Path) -> int:
             readers.open_recording()
         except CaptureError as error:  # the map is worth more than the recording
             readers.health.trouble("recording", f"record.path: {error}; nothing is recorded until the next start")
-        onboard = _onboard(loaded, readers, ahead)
+        with _told_if_slow(notifier):
+            onboard = _onboard(loaded, readers, ahead)
         notifier.ready()
         console = _Console(onboard.health)
         saved_ns = time.monotonic_ns()
@@ -102,6 +110,24 @@ def unused_path(pattern: Path, now: datetime) -> Path:
     return path
 
 
+@contextmanager
+def _told_if_slow(notifier: ServiceNotifier) -> Iterator[None]:
+    """Who looks at a start that takes long is told why."""
+
+    def tell() -> None:
+        notifier.status(STILL_LOADING)
+        with suppress(OSError):
+            print(f"terrabound: {STILL_LOADING}", file=sys.stderr, flush=True)
+
+    timer = threading.Timer(SLOW_START_S, tell)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
 class _Console:
     """What a person sees: the state as a line that is rewritten, and each new failure as a line of its own."""
 
@@ -133,5 +159,5 @@ class _Console:
     @staticmethod
     def _print(text: str) -> None:
         # A log on a full disk, a pipe whose reader has left: no reason to end a drive.
-        with contextlib.suppress(OSError):
+        with suppress(OSError):
             print(text, end="", file=sys.stderr, flush=True)

@@ -70,7 +70,8 @@ def watch(
             if held
             else "is a robot reachable there?"
         )
-        kept = f"; {map} is left as it was" if map is not None and not held else ""
+        spared = "left as it was" if map is not None and map.exists() else "not written"
+        kept = f"; {map} is {spared}" if map is not None and not held else ""
         console.print(
             f"terrabound: {connect}: the copy is not known to be complete; {why}{kept}", style="red", soft_wrap=True
         )

@@ -138,3 +138,13 @@ def test_a_dbc_file_of_any_encoding_is_read(tmp_path: Path) -> None:
     assert "SG_ LEFT" in parse(DEMO, tmp_path, "robot.toml").dbc_text()
     with pytest.raises(ConfigurationError, match=r"devices\.encoders\.dbc: .*cannot be read"):
         parse(DEMO.replace('"tracks.dbc"', '"tracks\\u0000.dbc"'), tmp_path, "robot.toml").dbc_text()
+
+
+def test_a_window_that_no_scan_comes_inside_of_is_refused() -> None:
+    """On a slow line a telegram alone takes longer: the mistake names the key, why, and what would do."""
+    text = shipped_config("demo.toml").read_text().replace("baud = 500000", "baud = 38400", 1)
+    text = text.replace("resolution_deg = 1.0", "resolution_deg = 0.5")
+    with pytest.raises(ConfigurationError, match=r"reordering_window_ms: 100 should be 222 or more: a scan is 191 ms"):
+        parse(text, Path(), "robot.toml")
+    wide = parse(text.replace("reordering_window_ms = 100.0", "reordering_window_ms = 222.0"), Path(), "robot.toml")
+    assert wide.config.filter.reordering_window_ms == 222.0
