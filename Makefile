@@ -44,6 +44,7 @@ prove: $(READY)
 	$(BIN)/python -m bench.prove_poses --page
 	$(BIN)/python -m bench.prove_poses --set ellipsoid --steps 100000 --seeds 40
 	$(BIN)/python -m bench.prove_robots --page
+	$(BIN)/python -m bench.prove_mounts --page
 	$(BIN)/python -m bench.prove_boxes
 	$(BIN)/python -m bench.prove
 

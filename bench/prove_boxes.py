@@ -65,13 +65,17 @@ class Case:
     half: Array
 
 
-def a_case(metres: float, degrees: float, seed: int) -> Case:
-    """Poses within 20 m, tilted by up to 20 degrees; ranges from 0.5 to 12 m."""
+def a_case(metres: float, degrees: float, seed: int, laser: LaserConfig = LASER, away_m: Array | None = None) -> Case:
+    """Poses within 20 m of somewhere, tilted by up to 20 degrees; ranges from 0.5 to 12 m, as far as they are used."""
     random = np.random.default_rng(seed)
-    ranges = random.uniform(0.5, 12.0, BEAMS)
+    ranges = random.uniform(max(0.5, laser.range_min_m), min(12.0, laser.range_max_m), BEAMS)
     scan = Scan(Stamp(0, 0), np.zeros(BEAMS, np.int64), -np.pi / 2, np.pi / (BEAMS - 1), ranges, 0)
     poses = np.column_stack(
-        [random.uniform(-20, 20, (POSES, 3)), random.uniform(-0.35, 0.35, (POSES, 2)), random.uniform(-9, 9, POSES)]
+        [
+            random.uniform(-20, 20, (POSES, 3)) + (0.0 if away_m is None else away_m),
+            random.uniform(-0.35, 0.35, (POSES, 2)),
+            random.uniform(-9, 9, POSES),
+        ]
     )
     widths = np.array([metres] * 3 + [np.radians(degrees)] * 3)
     low, high = poses - widths, poses + widths
@@ -79,12 +83,13 @@ def a_case(metres: float, degrees: float, seed: int) -> Case:
     middle, half = np.empty((BEAMS, ERRORS)), np.empty((BEAMS, ERRORS))
     middle[:, :6], half[:, :6] = ((low + high) / 2)[index], ((high - low) / 2)[index]
     # What a half-range loses by rounding must not be drawn: 1e-12 of it.
-    mount = np.radians([LASER.mount_roll_deg, -LASER.mount_pitch_deg, LASER.mount_yaw_deg])
-    middle[:, 6:9], half[:, 6:9] = (LASER.mount_x_m, LASER.mount_y_m, LASER.mount_z_m), LASER.mount_position_bound_m
-    middle[:, 9:12], half[:, 9:12] = mount, np.radians(LASER.mount_angle_bound_deg)
+    mount = np.radians([laser.mount_roll_deg, -laser.mount_pitch_deg, laser.mount_yaw_deg])
+    middle[:, 6:9], half[:, 6:9] = (laser.mount_x_m, laser.mount_y_m, laser.mount_z_m), laser.mount_position_bound_m
+    middle[:, 9:12], half[:, 9:12] = mount, np.radians(laser.mount_angle_bound_deg)
     middle[:, 12] = scan.angle_min_rad + np.arange(BEAMS) * scan.angle_increment_rad
     middle[:, 13], middle[:, 14] = ranges, 0.0
-    half[:, 12:] = np.radians(LASER.angle_bound_deg), LASER.range_bound_m, np.radians(LASER.angle_bound_deg)
+    across = laser.angle_bound_deg if laser.across_bound_deg is None else laser.across_bound_deg
+    half[:, 12:] = np.radians(laser.angle_bound_deg), laser.range_bound_m, np.radians(across)
     return Case(scan, low, high, index, middle, half * (1 - 1e-12))
 
 
@@ -138,19 +143,25 @@ class Score:
     """How far outside that."""
 
 
-def check(case: Case, points: Iterator[Array], score: Score) -> None:
+def check(
+    case: Case,
+    points: Iterator[Array],
+    score: Score,
+    laser: LaserConfig = LASER,
+    resolution_m: float = RESOLUTION_M,
+) -> None:
     """Hold points against the case's boxes and its map."""
-    boxes = project(case.scan, LASER, case.low, case.high, case.index)
-    terrain = ElevationMap(MapConfig(resolution_m=RESOLUTION_M, max_footprint_m=50.0), LASER)
+    boxes = project(case.scan, laser, case.low, case.high, case.index)
+    terrain = ElevationMap(MapConfig(resolution_m=resolution_m, max_footprint_m=50.0), laser)
     terrain.insert(case.scan, case.low, case.high, case.index)
-    saved = assemble(terrain.tiles(), RESOLUTION_M, "map")
+    saved = assemble(terrain.tiles(), resolution_m, "map")
     first = first_order(case)
     centre = hits(case.middle)
     for some in points:
         score.points += len(some)
         score.outside_box += int(np.count_nonzero(~np.all((boxes.low <= some) & (some <= boxes.high), axis=1)))
-        cell = np.floor(some[:, :2] / RESOLUTION_M).astype(np.int64) - np.round(
-            np.array(saved.origin_m) / RESOLUTION_M
+        cell = np.floor(some[:, :2] / resolution_m).astype(np.int64) - np.round(
+            np.array(saved.origin_m) / resolution_m
         ).astype(np.int64)
         low, high = saved.low[cell[:, 1], cell[:, 0]], saved.high[cell[:, 1], cell[:, 0]]
         score.outside_cell += int(np.count_nonzero(~((low <= some[:, 2]) & (some[:, 2] <= high))))

@@ -9,7 +9,7 @@ from drivers.errors import ConfigurationError
 from simulator.emulators.emulator import Emulator
 from simulator.emulators.gps import GpsEmulator
 from simulator.emulators.imu import ImuEmulator
-from simulator.emulators.sick_lms import SickLmsEmulator
+from simulator.emulators.sick_lms import LMS_221, LMS_FAST, SickLmsEmulator
 from simulator.emulators.track_encoders import TrackEncodersEmulator
 from simulator.ports import PseudoPort
 from simulator.wire import Wire
@@ -74,7 +74,8 @@ def emulate_devices(
     `own_messages`: the inertial board speaks those of drivers/imu/terrabound.xml.
     """
     imu, gps = devices.imu, devices.gps
-    laser = SickLmsEmulator(world.measure, start_ns=start_ns)
+    scanner = LMS_FAST if devices.laser.scan_angle_deg == 90 else LMS_221
+    laser = SickLmsEmulator(world.measure, start_ns=start_ns, type_text=scanner)
     encoders = TrackEncodersEmulator(
         world.count,
         start_ns=start_ns,

@@ -51,6 +51,10 @@ SILENCE_WITHIN_REQUEST_NS = 6 * MS
 SHORTEST_REQUEST = 7
 
 
+LMS_221, LMS_FAST = "LMS221;302063;V02.30 ", "LMS291;S14;V02.30    "
+"""What types of scanner say of themselves; the Fast sees 90 degrees."""
+
+
 class SickLmsEmulator:
     """One scanner, switched on at `start_ns`."""
 
@@ -60,7 +64,7 @@ class SickLmsEmulator:
         *,
         start_ns: int = 0,
         boot_ns: int = 500 * MS,
-        type_text: str = "LMS221;302063;V02.30 ",
+        type_text: str = LMS_221,
         serial: str = "00410123",
         record: bytes = FACTORY_RECORD,
         status: int = STATUS_OK,
