@@ -253,7 +253,7 @@ class Health:
 
     def _hung(self, now_ns: int) -> list[str]:
         # A copy first: a reader whose thread starts late adds its name meanwhile.
-        return [name for name, alive_ns in list(self._alive_ns.items()) if now_ns - alive_ns > LIFE_TIMEOUT_NS]
+        return [name for name, alive_ns in self._alive_ns.copy().items() if now_ns - alive_ns > LIFE_TIMEOUT_NS]
 
     def _device(self, name: str, device: _Device, now_ns: int) -> dict[str, Any]:
         """One device's row of the snapshot."""

@@ -128,6 +128,8 @@ class Readers:
             self._readers.append(reader)
             reader.start()
             if len(self._readers) == 1:
+                # From the beginning: it may hang on the very first bytes.
+                self.health.alive("conversations", time.monotonic_ns())
                 self._thread.start()
 
     @staticmethod

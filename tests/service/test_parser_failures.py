@@ -78,6 +78,16 @@ def wires(*names: str) -> Iterator[dict[str, tuple[int, str]]]:
                 os.close(end)
 
 
+@contextmanager
+def stopping(readers: Readers, hanging: Hanging) -> Iterator[None]:
+    """However it goes, no thread stays on ports that another test may be given."""
+    try:
+        yield
+    finally:
+        hanging.let_go.set()
+        readers.stop()
+
+
 def send(ours: int) -> None:
     """Something comes at the port, unless it is full already."""
     with suppress(BlockingIOError):
@@ -94,7 +104,7 @@ def test_a_parser_that_hangs_starves_the_watchdog_by_name() -> None:
         )
         readers = Readers(load(shipped_config("demo.toml")), SystemClock(), devices=devices)
         readers.start()
-        with closing(readers):
+        with closing(readers), stopping(readers, hanging):
             readers.read_punctually()
             health, deadline_s = readers.health, time.monotonic() + PATIENCE_S
             while hanging.hung_ns is None:  # what comes before a port is open is thrown away
@@ -114,7 +124,6 @@ def test_a_parser_that_hangs_starves_the_watchdog_by_name() -> None:
                 assert time.monotonic() < deadline_s
                 time.sleep(0.01)
             assert health.flowing(time.monotonic_ns())
-            readers.stop()
 
 
 PROGRAM = """
