@@ -210,13 +210,18 @@ def _told(true: tuple[float, float, float], off: Array) -> tuple[float, float, f
 
 
 def standstill_rate(robot: Robot, world: World, readings: list[tuple[int, Reading]]) -> float:
-    """The largest body rate (deg/s) while the tracks, as read, rest for the declared time before and after."""
+    """The largest body rate (deg/s) while the tracks, as read, rest for the declared time before and after.
+
+    A reading that comes after a newer one is none: whoever goes by it sees the tracks move to and fro, and rest later.
+    """
     after_s = robot.filter.standstill_s
     assert after_s is not None
     after_ns = int(after_s * 1e9)
     largest, first, last = 0.0, None, None
     for t, ticks in readings:
         if not isinstance(ticks, WheelTicks):
+            continue
+        if last is not None and ticks.stamp.mid_ns < last.stamp.mid_ns:
             continue
         same = last is not None and (ticks.left, ticks.right, ticks.epoch) == (last.left, last.right, last.epoch)
         if not same:

@@ -330,7 +330,8 @@ def bias_at_rest(
             if not is_empty(narrowed):
                 bias[axis, 0], bias[axis, 1] = narrowed
             elif off_ns == 0:
-                off, off_ns = max(0.0, narrowed[0] - narrowed[1]), (packet[EARLIEST_NS] + packet[LATEST_NS]) // 2
+                off = max(0.0, narrowed[0] - narrowed[1])
+                off_ns = packet[EARLIEST_NS] + (packet[LATEST_NS] - packet[EARLIEST_NS]) // 2
     return off, off_ns
 
 

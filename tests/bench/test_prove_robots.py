@@ -6,7 +6,7 @@ from bench.prove_robots import prove_robot
 from bench.random_robot import random_robot
 
 
-@pytest.mark.parametrize("seed", [16, 20, 22, 34])
+@pytest.mark.parametrize("seed", [16, 20, 22, 34, 70018])
 def test_no_robot_s_truth_is_outside(seed: int) -> None:
     """Whatever the robot, its sensors and how they are read: poses hold the truth, and nothing is called broken."""
     score = prove_robot(seed)
