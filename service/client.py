@@ -24,7 +24,7 @@ from mapper.tile_codec import TileFormatError
 from service.copied_map import CopiedMap
 from service.map_file import save_tiles
 from service.map_repair import MapRepair, read_tile
-from service.messages import DigestPart, MalformedMessage, TileId, read, read_anchor, read_plain, read_pose
+from service.messages import AnchorMessage, DigestPart, MalformedMessage, PoseMessage, TileId, read, read_plain
 from service.session import ended_callback, open_session, session_config
 from service.topics import ANCHOR, DIGEST, HEALTH, INFO, POSE, ROOT, split_key, submap_of_anchor
 
@@ -58,14 +58,9 @@ class RemoteMap:
         """Why there is no session at present."""
         self.alive = False
         """Does the robot's liveliness token stand?"""
-        self.pose: BoundedPose | None = None
-        self.anchor: Anchor | None = None
-        """Of the submap that is being mapped."""
         self._copy = CopiedMap(self.counts, max_tiles)
         self.anchors = self._copy.anchors
         """Of each submap, also of those that earlier runs left, as last asked for."""
-        self.health: Mapping[str, Any] = {}
-        self.info: Mapping[str, Any] = {}
         self._hosts: dict[str, str] = {}
         """Where each run that was heard runs, by epoch."""
         self._locators = [locators] if isinstance(locators, str) else list(locators)
@@ -118,6 +113,30 @@ class RemoteMap:
             return dict(self._copy.tiles)
 
     @property
+    def pose(self) -> BoundedPose | None:
+        """The newest; None before the first of the run that is followed."""
+        with self._changed:
+            return self._copy.pose
+
+    @property
+    def anchor(self) -> Anchor | None:
+        """Of the submap that is being mapped; None where the run that is followed has told none."""
+        with self._changed:
+            return self._copy.anchor
+
+    @property
+    def health(self) -> Mapping[str, Any]:
+        """As the robot told it last."""
+        with self._changed:
+            return self._copy.health
+
+    @property
+    def info(self) -> Mapping[str, Any]:
+        """What the robot says of itself."""
+        with self._changed:
+            return self._copy.info
+
+    @property
     def bounds(self) -> Guarantee | None:
         """Do the robot's bounds hold? As its newest tile or pose says; None before the first."""
         with self._changed:
@@ -140,8 +159,8 @@ class RemoteMap:
                 return None
             followed, other = (self._hosts.get(epoch or "", "unknown") for epoch in (self._copy.run.epoch, rival))
         return (
-            f"two services publish as {self.robot!r}: the copy is of the one on the host {followed}, but poses and "
-            f"health are of both, also of the one on the host {other}; set another robot.name in one, or stop it"
+            f"two services publish as {self.robot!r}: the copy is of the one on the host {followed}, not of the one on "
+            f"the host {other}; set another robot.name in one, or stop it"
         )
 
     def promised(self, place: TileId) -> bool:
@@ -307,35 +326,29 @@ class RemoteMap:
 
     def _take_topic(self, name: str, payload: bytes, now_ns: int) -> None:
         """Pose, anchor, health, info or digest."""
-        if name == POSE.name:
-            self.pose = read_pose(payload)
-            with self._changed:
-                self._copy.take_guarantee(self.pose.guarantee)
-        elif name == ANCHOR.name:
-            self.anchor = read_anchor(payload)
-        elif (submap := submap_of_anchor(name)) is not None:
-            self.anchors[submap] = read_anchor(payload)
-        elif name == HEALTH.name:
-            self.health = read_plain(payload)
-        elif name == INFO.name:
-            self._take_info(read_plain(payload))
-        elif name == DIGEST.name:
-            part = read(DigestPart, payload)
-            with self._changed:
-                self._copy.take_digest(part, now_ns)
-                self._changed.notify_all()
-        else:
-            self.counts["unknown_topic"] += 1
-
-    def _take_info(self, info: Mapping[str, Any]) -> None:
-        """What a run says of itself; of one that is not followed any more, who it is."""
+        copy, told = self._copy, _read_topic(name, payload)
         with self._changed:
-            epoch = str(info.get("epoch"))
-            if len(self._hosts) >= MAX_HOSTS and epoch not in self._hosts:
-                self._hosts.clear()
-            self._hosts[epoch] = str(info.get("host", "unknown"))
-            if not self._copy.run.left(epoch):
-                self.info = info
+            match told:
+                case PoseMessage():
+                    copy.take_pose(told, now_ns)
+                case AnchorMessage():
+                    copy.take_anchor(told, now_ns, submap_of_anchor(name))
+                case DigestPart():
+                    copy.take_digest(told, now_ns)
+                case None:
+                    self.counts["unknown_topic"] += 1
+                case _ if name == HEALTH.name:
+                    copy.take_health(told, now_ns)
+                case _:
+                    self._note_host(told)
+                    copy.take_info(told, now_ns)
+
+    def _note_host(self, info: Mapping[str, Any]) -> None:
+        """Whose a run is, also of one that is not followed."""
+        epoch = str(info.get("epoch"))
+        if len(self._hosts) >= MAX_HOSTS and epoch not in self._hosts:
+            self._hosts.clear()
+        self._hosts[epoch] = str(info.get("host", "unknown"))
 
     def _take_tile(self, sample: zenoh.Sample, now_ns: int) -> None:
         """Join a tile or a delta."""
@@ -344,3 +357,14 @@ class RemoteMap:
             if note.released_ns is not None:
                 self._latencies_ns.append(now_ns - note.released_ns)
             self._copy.take_tile(tile, note, now_ns)
+
+
+def _read_topic(name: str, payload: bytes) -> PoseMessage | AnchorMessage | DigestPart | Mapping[str, Any] | None:
+    """What a message below the robot's key says; None of a topic that isn't known."""
+    if name == POSE.name:
+        return read(PoseMessage, payload)
+    if name == ANCHOR.name or submap_of_anchor(name) is not None:
+        return read(AnchorMessage, payload)
+    if name == DIGEST.name:
+        return read(DigestPart, payload)
+    return read_plain(payload) if name in (HEALTH.name, INFO.name) else None

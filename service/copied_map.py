@@ -6,14 +6,17 @@ or a join of some.
 
 from collections import Counter
 from collections.abc import Mapping
+from typing import Any
 
-from estimator.bounded_pose import Anchor, Guarantee
+from estimator.bounded_pose import Anchor, BoundedPose, Guarantee
 from mapper.tile import Tile, content_crc, join
 from service.messages import (
+    AnchorMessage,
     DigestAssembly,
     DigestEntry,
     DigestPart,
     MalformedMessage,
+    PoseMessage,
     TileId,
     TileNote,
     digest_root,
@@ -23,14 +26,19 @@ from service.rivals import FollowedRun
 
 
 class CopiedMap:
-    """The tiles of one run of a robot (an epoch), its guarantee, and where they differ from the newest digest."""
+    """What one run of a robot (an epoch) has told: where and how it is, its tiles, and what differs from a digest."""
 
     def __init__(self, counts: Counter[str], max_tiles: int) -> None:
         """What happens is counted in `counts`; tiles beyond `max_tiles` are counted, not kept."""
         self.tiles: dict[TileId, Tile] = {}
         self.guarantee: Guarantee | None = None
+        self.pose: BoundedPose | None = None
+        self.anchor: Anchor | None = None
+        """Of the submap that is being mapped."""
         self.anchors: dict[int, Anchor] = {}
         """Of each submap, as last told."""
+        self.health: Mapping[str, Any] = {}
+        self.info: Mapping[str, Any] = {}
         self.stale: dict[TileId, int] = {}
         """Tiles that differed from the digest when it came, with the CRC that it listed."""
         self._differed: dict[TileId, Tile] = {}
@@ -73,6 +81,37 @@ class CopiedMap:
         """
         if self.guarantee is None or self.guarantee.intact or not told.intact:
             self.guarantee = told
+
+    # Where the robot is, and how it does
+
+    def take_pose(self, told: PoseMessage, now_ns: int) -> None:
+        """A pose of the run that is followed."""
+        if self._is_followed(told.epoch, now_ns):
+            self.pose = told.pose()
+            self.take_guarantee(self.pose.guarantee)
+
+    def take_anchor(self, told: AnchorMessage, now_ns: int, submap: int | None = None) -> None:
+        """Where the run that is followed says that its map frame stands, or that of an earlier `submap`."""
+        if not self._is_followed(told.epoch, now_ns):
+            return
+        if submap is None:
+            self.anchor = told.anchor()
+        else:
+            self.anchors[submap] = told.anchor()
+
+    def take_health(self, told: Mapping[str, Any], now_ns: int) -> None:
+        """How the robot does."""
+        if self._is_followed(told.get("epoch"), now_ns):
+            self.health = told
+
+    def take_info(self, told: Mapping[str, Any], now_ns: int) -> None:
+        """What the robot says of itself."""
+        if self._is_followed(told.get("epoch"), now_ns):
+            self.info = told
+
+    def _is_followed(self, epoch: object, now_ns: int) -> bool:
+        """`_follows`, where the message names a run: those of earlier versions do not."""
+        return not isinstance(epoch, str) or self._follows(epoch, now_ns)
 
     # Tiles
 
@@ -151,7 +190,8 @@ class CopiedMap:
         self._differed.clear()
         self._root = None
         if not first:
-            self.guarantee = None
+            self.guarantee = self.pose = self.anchor = None
+            self.health, self.info = {}, {}
         self.introduced = self.introduced and first
         self.compared = self.in_sync = self.final = False
         self.listing_wanted = True

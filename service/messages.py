@@ -94,6 +94,29 @@ class PoseMessage:
     high: _Bounds6
     guarantee: GuaranteeMessage
     ellipsoid: EllipsoidMessage | None = None
+    epoch: _Name | None = None
+    """Of the run whose pose it is; absent in files, and of earlier versions."""
+
+    @classmethod
+    def of(cls, pose: BoundedPose, epoch: str | None = None) -> "PoseMessage":
+        """What is written of a pose."""
+        e = pose.ellipsoid
+        ellipsoid = (
+            None if e is None else EllipsoidMessage(e.earliest_ns, e.latest_ns, e.centre.tolist(), e.shape.tolist())
+        )
+        bounds = _finite(pose.low), _finite(pose.high)
+        return cls(
+            pose.earliest_ns, pose.latest_ns, *bounds, guarantee_message(pose.guarantee), ellipsoid, epoch
+        )  # fmt: skip
+
+    def pose(self) -> BoundedPose:
+        """The pose; MalformedMessage where its bounds are none."""
+        low, high = _bounds(self.low, self.high)
+        e = self.ellipsoid
+        ellipsoid = (
+            None if e is None else PlanarEllipsoid(e.earliest_ns, e.latest_ns, np.array(e.centre), np.array(e.shape))
+        )
+        return BoundedPose(self.earliest_ns, self.latest_ns, low, high, guarantee_from(self.guarantee), ellipsoid)
 
 
 @dataclass(frozen=True, slots=True, config=_WIRE)
@@ -106,6 +129,20 @@ class AnchorMessage:
     low: _Bounds4
     high: _Bounds4
     guarantee: GuaranteeMessage
+    epoch: _Name | None = None
+    """Of the run that tells it; absent in stores and files, and of earlier versions."""
+
+    @classmethod
+    def of(cls, anchor: Anchor, epoch: str | None = None) -> "AnchorMessage":
+        """What is written of an anchor."""
+        origin = anchor.origin_lat_deg, anchor.origin_lon_deg, anchor.origin_alt_m
+        return cls(*origin, _finite(anchor.low), _finite(anchor.high), guarantee_message(anchor.guarantee), epoch)
+
+    def anchor(self) -> Anchor:
+        """The anchor; MalformedMessage where its bounds are none."""
+        low, high = _bounds(self.low, self.high)
+        origin = self.origin_lat_deg, self.origin_lon_deg, self.origin_alt_m
+        return Anchor(*origin, low, high, guarantee_from(self.guarantee))
 
 
 @dataclass(frozen=True, slots=True, config=_WIRE)
@@ -249,38 +286,24 @@ def guarantee_from(message: GuaranteeMessage) -> Guarantee:
     )
 
 
-def write_pose(pose: BoundedPose) -> bytes:
+def write_pose(pose: BoundedPose, epoch: str | None = None) -> bytes:
     """A pose as JSON; numbers come back bit for bit."""
-    bounds = _finite(pose.low), _finite(pose.high)
-    e = pose.ellipsoid
-    ellipsoid = None if e is None else EllipsoidMessage(e.earliest_ns, e.latest_ns, e.centre.tolist(), e.shape.tolist())
-    return write(PoseMessage(pose.earliest_ns, pose.latest_ns, *bounds, guarantee_message(pose.guarantee), ellipsoid))
+    return write(PoseMessage.of(pose, epoch))
 
 
 def read_pose(data: bytes) -> BoundedPose:
     """A pose, or MalformedMessage."""
-    message = read(PoseMessage, data)
-    low, high = _bounds(message.low, message.high)
-    e = message.ellipsoid
-    ellipsoid = (
-        None if e is None else PlanarEllipsoid(e.earliest_ns, e.latest_ns, np.array(e.centre), np.array(e.shape))
-    )
-    return BoundedPose(message.earliest_ns, message.latest_ns, low, high, guarantee_from(message.guarantee), ellipsoid)
+    return read(PoseMessage, data).pose()
 
 
-def write_anchor(anchor: Anchor) -> bytes:
+def write_anchor(anchor: Anchor, epoch: str | None = None) -> bytes:
     """An anchor as JSON; numbers come back bit for bit."""
-    origin = anchor.origin_lat_deg, anchor.origin_lon_deg, anchor.origin_alt_m
-    bounds = _finite(anchor.low), _finite(anchor.high)
-    return write(AnchorMessage(*origin, *bounds, guarantee_message(anchor.guarantee)))
+    return write(AnchorMessage.of(anchor, epoch))
 
 
 def read_anchor(data: bytes) -> Anchor:
     """An anchor, or MalformedMessage."""
-    message = read(AnchorMessage, data)
-    low, high = _bounds(message.low, message.high)
-    origin = message.origin_lat_deg, message.origin_lon_deg, message.origin_alt_m
-    return Anchor(*origin, low, high, guarantee_from(message.guarantee))
+    return read(AnchorMessage, data).anchor()
 
 
 def digest_root(entries: Iterable[DigestEntry]) -> int:

@@ -43,7 +43,7 @@ class Periodic:
         if self.pose is not None and (ending or now_s >= self._pose_due_s):
             self._pose_due_s = now_s + 1 / self._config.pose_rate_hz
             pose, self.pose = self.pose, None
-            put(POSE, write_pose(pose), None)
+            put(POSE, write_pose(pose, state.epoch), None)
             state.write_anchor()
         if state.health is not None and (ending or now_s >= self._health_due_s):
             self._health_due_s = now_s + self._config.health_period_s

@@ -3,6 +3,7 @@
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from estimator.bounded_pose import INTACT, Anchor
@@ -10,11 +11,14 @@ from mapper.tile import Tile
 from mapper.tile_codec import encode
 from service.map_update import MAP_FRAME, MapUpdate
 from service.messages import (
+    AnchorMessage,
     DigestPart,
+    MalformedMessage,
     TileId,
     digest_parts,
     digest_root,
     guarantee_message,
+    read,
     write,
     write_anchor,
     write_note,
@@ -55,7 +59,7 @@ class PublishedState:
         """As it was written last."""
         self.unsent_anchor = False
         """Is it another one than was sent?"""
-        self._epoch = epoch
+        self.epoch = epoch
         self._info = info
         self._counts = counts
         self._about_publisher = about_publisher
@@ -79,9 +83,17 @@ class PublishedState:
 
     def adopt(self, earlier: Mapping[int, EarlierSubmap]) -> None:
         """Earlier submaps have come: from now on the digest lists them."""
-        self.earlier = earlier
+        self.earlier = {number: replace(submap, anchor=self._told_now(submap)) for number, submap in earlier.items()}
         for submap in earlier.values():
             self.map.adopt(submap.tiles)
+
+    def _told_now(self, submap: EarlierSubmap) -> bytes | None:
+        """An earlier run's anchor, as this run tells it."""
+        try:
+            return submap.anchor and write(replace(read(AnchorMessage, submap.anchor), epoch=self.epoch))
+        except MalformedMessage:
+            self._counts["unreadable_anchors"] += 1
+            return None
 
     def news(self, tile: Tile, update: MapUpdate) -> TileMessage | None:
         """What changed of one tile of an update since it was last sent."""
@@ -92,7 +104,7 @@ class PublishedState:
         if update.beams_until_ns is not None:
             self._beams_until_ns[TileId(tile.submap, tile.ix, tile.iy)] = update.beams_until_ns
         times = update.released_ns, update.beams_until_ns
-        return TileMessage(news.kind, payload, write_note(self._epoch, news.version, self._guarantee_json, *times))
+        return TileMessage(news.kind, payload, write_note(self.epoch, news.version, self._guarantee_json, *times))
 
     def whole(self, place: TileId) -> TileMessage | None:
         """A tile as it was published last; None where it isn't there any more."""
@@ -101,13 +113,13 @@ class PublishedState:
             return None
         earlier = self.earlier.get(place.submap)
         guarantee = self._guarantee_json if earlier is None else write(earlier.guarantee)
-        note = write_note(self._epoch, published.version, guarantee, None, self._beams_until_ns.get(place))
+        note = write_note(self.epoch, published.version, guarantee, None, self._beams_until_ns.get(place))
         return TileMessage("full", encode(published.tile, MAP_FRAME, time.time_ns()), note)
 
     def write_anchor(self) -> None:
         """The newest anchor as it is sent, and whether it is another one than before."""
         if self._newest_anchor is not None:
-            anchor, self._newest_anchor = write_anchor(self._newest_anchor), None
+            anchor, self._newest_anchor = write_anchor(self._newest_anchor, self.epoch), None
             self.unsent_anchor = self.unsent_anchor or anchor != self.anchor
             self.anchor = anchor
 
@@ -121,8 +133,8 @@ class PublishedState:
         entries = self.map.entries()
         root = digest_root(entries)
         if root == summary_if_root:
-            return iter([DigestPart(self._epoch, self._sequence, self.final, len(entries), root, 0, 0, [])])
-        return digest_parts(self._epoch, self._sequence, self.final, entries, root)
+            return iter([DigestPart(self.epoch, self._sequence, self.final, len(entries), root, 0, 0, [])])
+        return digest_parts(self.epoch, self._sequence, self.final, entries, root)
 
     def said(self, topic: Topic) -> list[bytes]:
         """What a get on a topic brings; none where there is nothing to say yet."""
@@ -138,8 +150,9 @@ class PublishedState:
         """`info` and `health` as they are now."""
         if topic is INFO:
             return write_plain({**self._info, "submap": self.submap, "tiles": len(self.map)})
+        own = {"publisher": self._about_publisher(), "epoch": self.epoch}
         try:
-            return write_plain({**(self.health or {}), "publisher": self._about_publisher()})
+            return write_plain({**(self.health or {}), **own})
         except (ValueError, TypeError) as error:
             self._counts["unsendable_health"] += 1
-            return write_plain({"failure": f"health can't be written: {error}", "publisher": self._about_publisher()})
+            return write_plain({"failure": f"health can't be written: {error}", **own})

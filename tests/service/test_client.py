@@ -10,6 +10,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -301,6 +302,32 @@ def test_a_restarted_robot_is_followed_by_itself_and_its_maps_are_not_mixed() ->
             assert remote.wait_in_sync(WAIT_S, final=True)
             assert remote.tiles == new.published()
             assert remote.counts["epochs"] == 2
+
+
+def test_of_a_robot_that_was_restarted_nothing_of_the_old_run_stays(tmp_path: Path) -> None:
+    """The new map has another frame: without a fix yet it has no place on Earth, neither told nor saved."""
+    old, new, address = Drive(seed=1), Drive(seed=2), free_locator()
+    anchor = Anchor(47.0, 8.0, 400.0, np.zeros(4), np.ones(4))
+    with RemoteMap(address) as remote:
+        with publishing(address) as publisher:
+            assert remote.wait_in_sync(WAIT_S)
+            assert publisher.offer(replace(old.step(0), anchor=anchor))
+            assert publisher.flush(WAIT_S)
+            assert remote.wait_in_sync(WAIT_S, final=True)
+            assert remote.anchor is not None
+            assert remote.health["step"] == 0
+        assert remote.wait_alive(WAIT_S, alive=False)
+        with publishing(address) as publisher:
+            assert remote.wait_alive(WAIT_S)
+            assert publisher.offer(MapUpdate(new.step(1).tiles, None, None, {}, INTACT, 1))
+            assert publisher.flush(WAIT_S)
+            assert remote.wait_in_sync(WAIT_S, final=True)
+            assert remote.tiles == new.published()
+            told: list[object] = [remote.anchor, remote.pose]
+            assert told == [None, None]
+            assert "step" not in remote.health
+            remote.save(tmp_path / "map.npz")
+    assert load(tmp_path / "map.npz").anchor == ""
 
 
 def test_a_copy_that_claims_more_than_the_robot_is_mended() -> None:

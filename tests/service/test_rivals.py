@@ -6,12 +6,16 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 
+import numpy as np
 import pytest
 import zenoh
 
+from estimator.bounded_pose import INTACT, BoundedPose
 from service.client import RemoteMap
 from service.loopback import free_locator
+from service.map_update import MapUpdate
 from service.publish_config import PublishConfig
 from service.publisher import Publisher
 from service.rivals import SILENT_NS, STRAGGLING_NS, FollowedRun
@@ -20,12 +24,26 @@ PATIENCE_S = 60.0
 SECOND = 1_000_000_000
 RIVAL = """
 import sys
+import threading
+import numpy as np
+from estimator.bounded_pose import INTACT, Anchor, BoundedPose
+from service.map_update import MapUpdate
 from service.publish_config import PublishConfig
 from service.publisher import Publisher
 publisher = Publisher(PublishConfig(listen=[], connect=[sys.argv[1]], digest_period_s=0.2), "rover", {"host": "twin"})
 publisher.start()
 print("there", flush=True)
+end = threading.Event()
+def tell():
+    while not end.wait(0.02):
+        pose = BoundedPose(1, 2, np.full(6, 7.0), np.full(6, 8.0))
+        anchor = Anchor(7.0, 7.0, 7.0, np.zeros(4), np.ones(4))
+        publisher.offer(MapUpdate((), pose, anchor, {"whose": "twin"}, INTACT, 1))
+teller = threading.Thread(target=tell)
+teller.start()
 sys.stdin.read()
+end.set()
+teller.join()
 publisher.close()
 """
 
@@ -87,6 +105,33 @@ def test_two_services_of_one_name_are_told(meeting: str) -> None:
             begun, ignored = remote.counts["epochs"], remote.counts["left_epoch"]
             wait_until(lambda: remote.counts["left_epoch"] > ignored + 5)
             assert remote.counts["epochs"] == begun  # it doesn't begin anew with each message
+
+
+def test_where_two_services_publish_a_copy_tells_of_one_alone() -> None:
+    """Poses, anchor and health are those of the run whose map it is: each pair lies in a frame of its own."""
+    with ExitStack() as stack:
+        address = stack.enter_context(router())
+        stack.enter_context(rival(address))
+        remote = stack.enter_context(RemoteMap(address))
+        wait_until(lambda: remote.pose is not None and remote.anchor is not None and remote.health)
+        # The one that was there before is followed no more: another has begun.
+        publisher = Publisher(PublishConfig(listen=[], connect=[address], digest_period_s=0.2), "rover")
+        publisher.start()
+        stack.callback(publisher.close)
+        wait_until(lambda: remote.info.get("epoch") == publisher.epoch)
+
+        def more_than(left: int) -> bool:
+            return remote.counts["left_epoch"] > left
+
+        for number in range(1000, 1020):
+            pose = BoundedPose(number, number + 1, np.zeros(6), np.ones(6))
+            assert publisher.wait_until_ready(PATIENCE_S)
+            assert publisher.offer(MapUpdate((), pose, None, {"whose": "ours"}, INTACT, 1))
+            left = remote.counts["left_epoch"]
+            wait_until(partial(more_than, left))
+            assert remote.pose is None or remote.pose.earliest_ns >= 1000
+            assert remote.anchor is None
+            assert remote.health.get("whose") in (None, "ours")
 
 
 @pytest.mark.parametrize("after_s", [0, 1, 3600])
