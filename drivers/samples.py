@@ -96,6 +96,8 @@ class InertialSample(Frozen):
     """Roll and pitch; pitch is positive nose down (rotation about +y), roll positive right side down."""
     epoch: int = 0
     """Rises when the board rebooted: device times may be subtracted only within one epoch."""
+    after_loss: bool = False
+    """Packets of the board got lost since this sensor's last one: perhaps one of its own."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -79,8 +79,9 @@ class AttitudeChain:
         device_us, resolution_us = board_clock(sample)
         newer, sound, self.level, lost, clock_off_s = gyro_step(
             i, tube.begin, stamp.earliest_ns, stamp.latest_ns, sample.epoch, device_us, resolution_us, sample.gyro_rps,
-            packets.end - 1, packets.numbers, packets.rates, packets.learnt, packets.drift, was_level, tuple(self.gyro),
-            self.bias, tube.times, tube.box, tube.swing, tube.net, tube.heading, tube.effort,
+            packets.end - 1, packets.numbers, packets.rates, packets.learnt, packets.drift, sample.after_loss,
+            was_level, tuple(self.gyro), self.bias, tube.times, tube.box, tube.swing, tube.net, tube.heading,
+            tube.effort,
         )  # fmt: skip
         if clock_off_s > 0.0:
             self._journal.report("imu_clock", stamp.mid_ns, clock_off_s, "s")

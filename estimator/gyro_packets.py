@@ -182,11 +182,13 @@ def elapsed(
     resolution_us: int,
     drift: float,
     learnt: NDArray[np.float64],
+    after_loss: bool,
 ) -> tuple[float, float, int, int, bool, float]:
     """Time since the last packet: least and most seconds; the new one's stamp, made tighter by the last.
 
     Then: does its mean cover only the last part of that time? By how many seconds the board's clock can't be true, by
-    the host's stamps; else 0.
+    the host's stamps; else 0. `after_loss`: packets were lost meanwhile, so the time says nothing of the board's
+    period: of a line that loses every other one it would be two.
     """
     low, high = max(0, earliest_ns - last[LATEST_NS]), latest_ns - last[EARLIEST_NS]
     if not on_one_clock(last, epoch, device_us):
@@ -196,9 +198,10 @@ def elapsed(
     device_low = int(max(0, between - resolution_us) * 1000 * (1.0 - drift)) - 1
     device_high = int((between + resolution_us) * 1000 / (1.0 - drift)) + 2
     learnt[INTERVALS] += 1.0
-    if learnt[INTERVALS] > 1.0:  # the first one after a start may be anything
+    if learnt[INTERVALS] > 1.0 and not after_loss:  # the first one after a start may be anything
         learnt[PERIOD_S] = min(learnt[PERIOD_S], between * 1e-6)
-    gap = learnt[INTERVALS] <= LEARNING_PACKETS or between * 1e-6 > 1.5 * learnt[PERIOD_S]
+    unknown = learnt[INTERVALS] <= LEARNING_PACKETS or learnt[PERIOD_S] == inf
+    gap = unknown or between * 1e-6 > 1.5 * learnt[PERIOD_S]
     if device_low > high or device_high < low:
         off_s = max(device_low - high, low - device_high) * 1e-9
         return down(low * 1e-9), up(high * 1e-9), earliest_ns, latest_ns, True, off_s

@@ -53,6 +53,7 @@ def gyro_step(
     rates: NDArray[np.float64],
     learnt: NDArray[np.float64],
     clock_drift: float,
+    after_loss: bool,
     level: bool,
     bounds: tuple[float, ...],
     bias: NDArray[np.float64],
@@ -76,7 +77,7 @@ def gyro_step(
         return False, True, level, False, off_s
     began_ns = last[EARLIEST_NS]
     least_s, most_s, earliest_ns, latest_ns, gap, off_s = elapsed(
-        last, earliest_ns, latest_ns, epoch, device_us, resolution_us, clock_drift, learnt
+        last, earliest_ns, latest_ns, epoch, device_us, resolution_us, clock_drift, learnt, after_loss
     )
     lost = gap and learnt[INTERVALS] > LEARNING_PACKETS
     put_in_order(times, begin, i, earliest_ns, latest_ns)

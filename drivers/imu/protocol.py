@@ -19,6 +19,8 @@ _STUCK_NS = 500_000_000
 _SILENT_NS = 1_000_000_000
 """Another part of the vehicle is listened to once the first has been silent for so long."""
 
+_REFUSED = -1
+
 _Source = tuple[int, int]
 """System and component."""
 
@@ -56,6 +58,10 @@ class ImuProtocol:
         self._alive: dict[SensorKey, tuple[tuple[float, ...], int]] = {}
         """Of each sensor: its last reading, and the read that brought it first."""
         self._unwell: dict[SensorKey, str] = {}
+        self._losses = 0
+        """Gaps in the sequence numbers of the board that is listened to."""
+        self._losses_before: dict[SensorKey, int] = {}
+        """As they were at each sensor's last packet; _REFUSED where that one was not delivered."""
 
     @property
     def baud(self) -> int | None:
@@ -113,6 +119,7 @@ class ImuProtocol:
             fault = self._fault(reading) or self._repetition(sensor, reading, read_ns)
             if fault is not None:
                 self.counts[fault] += 1
+                self._losses_before[sensor] = _REFUSED
                 if fault == "dead":
                     self._unwell[sensor] = " (dead)"
                 continue
@@ -132,7 +139,9 @@ class ImuProtocol:
             self.counts["other_clock"] += 1
         stamp = Stamp(read_ns - self._most_ns, latest_ns)
         accel, gyro, tilt = reading.accel_mps2, reading.gyro_rps, reading.tilt_rad
-        return InertialSample(stamp, *sensor, device_us, accel, gyro, tilt, self._epoch)
+        after_loss = self._losses_before.get(sensor, self._losses) != self._losses
+        self._losses_before[sensor] = self._losses
+        return InertialSample(stamp, *sensor, device_us, accel, gyro, tilt, self._epoch, after_loss)
 
     def _begin_epoch(self) -> None:
         if self._clock.known:
@@ -160,6 +169,7 @@ class ImuProtocol:
         if gap == 255:
             self.counts["repeated"] += 1
         elif gap:
+            self._losses += source == self._source
             self.counts["lost"] += gap
             self.counts[f"lost_{frame.system}_{frame.component}"] += gap
 

@@ -216,6 +216,24 @@ def test_lost_packets_are_counted_by_their_numbers() -> None:
     assert (host.counts["lost"], host.counts["repeated"]) == (4, 1)
 
 
+def test_a_sample_tells_that_packets_were_lost_before_it() -> None:
+    """Perhaps it was its own sensor's that got lost; a reading that was refused was one of its own surely."""
+    host = protocol()
+
+    def told(sequence: int, sensor: int, ahead: float = 0.1) -> list[bool]:
+        frame = highres_imu(sequence, 1000 * sequence, sensor, accel_mps2=(ahead, 0.2, 0.3))
+        return [sample.after_loss for sample in host.receive_data(serialise(frame), sequence * MS)]
+
+    assert told(10, 1) == told(11, 2) == told(12, 1) == [False]
+    assert told(15, 1) == [True]
+    assert told(16, 1) == [False]
+    assert told(17, 2) == [True]
+    assert told(18, 2, ahead=inf) == []
+    assert told(19, 1) == [False]
+    assert told(20, 2) == [True]
+    assert told(21, 2) == [False]
+
+
 def test_losses_are_counted_for_each_source() -> None:
     """Every component of a vehicle counts its own frames."""
     host = protocol()
