@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.record_pipe import EMPTY_NS, LOST, LOST_BYTES, READ_NS, RECORD_HEAD_BYTES, SIZE
+from drivers.record_pipe import EMPTY_NS, LOST, LOST_BYTES, PORT, READ_NS, RECORD_HEAD_BYTES, SIZE, ring
 
 EMPTY, READ, SEEN_EMPTY, LOST_SO_FAR = 0, 1, 2, 3
 """In `times`, monotonic nanoseconds: none of the bytes read came before EMPTY; they were read at READ; and the port was
@@ -66,6 +66,7 @@ def pump_interpreted(
     fd: int,
     wake_fd: int,
     sink_fd: int,
+    alarm: NDArray[np.int64],
     timeout_ns: int,
     full: int,
     watched: NDArray[np.int32],
@@ -86,6 +87,7 @@ def pump_interpreted(
             times[LOST_SO_FAR], record[LOST_BYTES] = 0, 0
         record[SIZE] = count
         os.write(sink_fd, record.data.cast("B")[: RECORD_HEAD_BYTES + count])
+        ring(alarm, int(record[PORT]), int(times[READ]))
         return NOTHING
     times[LOST_SO_FAR] += count
     return NOTHING
@@ -101,9 +103,9 @@ been seen empty. watched [4] and moment [2] are room for this call alone.
 """
 
 pump_port: Callable[..., int] = pump_interpreted
-"""pump_port(fd, wake_fd, sink_fd, timeout_ns, full, watched, moment, times, record, buffer), likewise: read port `fd`
-again and again, and write each read to the pipe `sink_fd`, until `timeout_ns` are over or something else has happened:
-one of the above.
+"""pump_port(fd, wake_fd, sink_fd, alarm, timeout_ns, full, watched, moment, times, record, buffer), likewise: read port
+`fd` again and again, write each read to the pipe `sink_fd` and look at its `alarm`, until `timeout_ns` are over or
+something else has happened: one of the above.
 
 record: head and bytes of a drivers/record_pipe.py record, its port and opening filled in; `buffer`: its bytes.
 """

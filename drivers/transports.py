@@ -117,7 +117,7 @@ class SerialTransport:
         self._record[PORT], self._record[OPENING], self._record[RECEIVED_NS] = port, opening, NOT_STAMPED
         lasting_ns = int(lasting_s * 1e9)
         room = self._watched, self._moment, self._times, self._record, self._buffer
-        happened = port_read.pump_port(self._fd, wake_fd, pipe.sink_fd, lasting_ns, _FULL_BYTES, *room)
+        happened = port_read.pump_port(self._fd, wake_fd, pipe.sink_fd, pipe.alarm, lasting_ns, _FULL_BYTES, *room)
         if happened == GONE and (data := self._read_or_why_not()):
             times = {"read_ns": self.read_ns, "empty_ns": self.empty_ns, "received_ns": NOT_STAMPED}
             if not pipe.put(port, opening, len(data), data=data, **times):

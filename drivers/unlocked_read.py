@@ -12,7 +12,19 @@ from numpy.typing import NDArray
 
 from drivers.compiled import compiled_unlocked
 from drivers.port_read import EMPTY, GONE, INTERRUPTED, LOST_SO_FAR, NOTHING, READ, SEEN_EMPTY, WOKEN
-from drivers.record_pipe import EMPTY_NS, LOST, LOST_BYTES, READ_NS, RECORD_HEAD_BYTES, SIZE
+from drivers.record_pipe import (
+    ALARM_WORDS,
+    BELL_FD,
+    EMPTY_NS,
+    LOST,
+    LOST_BYTES,
+    PORT,
+    READ_NS,
+    RECORD_HEAD_BYTES,
+    SIZE,
+    WAITED_PORTS,
+    WAITED_SINCE,
+)
 
 POLLIN = 0x0001
 CLOCK_MONOTONIC = 1
@@ -77,6 +89,7 @@ def pump_port(
     fd: int,
     wake_fd: int,
     sink_fd: int,
+    alarm: NDArray[np.int64],
     timeout_ns: int,
     full: int,
     watched: NDArray[np.int32],
@@ -104,6 +117,9 @@ def pump_port(
         # In their order: what comes after lost bytes must not overtake the word of them.
         if times[LOST_SO_FAR] > 0 or _write(sink_fd, record.ctypes.data, RECORD_HEAD_BYTES + count) < 0:
             times[LOST_SO_FAR] += count
+        if (alarm[WAITED_PORTS] >> record[PORT]) & 1 != 0 and times[READ] >= alarm[WAITED_SINCE]:
+            alarm[WAITED_PORTS], moment[0] = 0, 1
+            _write(np.int32(alarm[BELL_FD]), moment.ctypes.data, 8)
 
 
 def compile_read() -> None:
@@ -115,7 +131,8 @@ def compile_read() -> None:
         np.zeros(1, np.uint8),
     )
     assert read_when_ready(-1, -1, 0, 1, room, moment, times, buffer) == NOTHING
-    assert pump_port(-1, -1, -1, 0, 1, room, moment, times, times, buffer) == NOTHING
+    alarm = np.zeros(ALARM_WORDS, np.int64)
+    assert pump_port(-1, -1, -1, alarm, 0, 1, room, moment, times, times, buffer) == NOTHING
 
 
 @compiled_unlocked

@@ -165,6 +165,11 @@ class ElevationMap:
             self._tiles_left_out += 1
         return bool(found != kernel.LEFT_OUT)
 
+    @property
+    def has_changed(self) -> bool:
+        """Has any cell since the last `take_dirty`?"""
+        return bool(self._dirty[: self.tile_count].any())
+
     def take_dirty(self) -> tuple[Tile, ...]:
         """Copies of the tiles in which any cell has changed since the last call."""
         indices = np.flatnonzero(self._dirty[: self.tile_count])

@@ -36,7 +36,7 @@ from service.unpublished import Unpublished
 IDLE_S = 0.02
 """The pipeline thread looks up this often when no sample comes."""
 LEAST_OFFER_NS = 4_000_000
-"""Updates are at least this far apart: a fast replay coalesces more instead of publishing more."""
+"""In lockstep updates are at least this far apart: a fast replay coalesces more instead of publishing more."""
 COUNT_PERIOD_NS = 50_000_000
 """The pipeline's counts are brought together this often."""
 GATHER_S = 0.004
@@ -98,6 +98,9 @@ class Onboard:
         self._failure: BaseException | None = None
         self._loaded = loaded
         self._lockstep = lockstep
+        self._least_offer_ns = LEAST_OFFER_NS if lockstep else 0
+        self._owing = False
+        """Did a scan change the map that the publisher had no room for?"""
         self._stopping = threading.Event()
         self._offered_ns = self._told_ns = 0
         self._place = OfferedPlace(self.pipeline.filter, config.publish.pose_rate_hz)
@@ -222,7 +225,7 @@ class Onboard:
                 arrivals = (
                     self.queue.take(IDLE_S)
                     if self._lockstep
-                    else take_in_rhythm(self.readers, self.pipeline, self.clock)
+                    else take_in_rhythm(self.readers, self.pipeline, self.clock, self._owing)
                 )
                 if arrivals and self._hurries():
                     time.sleep(GATHER_S)
@@ -278,10 +281,12 @@ class Onboard:
         now_ns = time.monotonic_ns()
         publisher_ready = self.publisher.ready
         wanted = publisher_ready or self.keeper.due(now_ns)
-        if not last and (now_ns - self._offered_ns < LEAST_OFFER_NS or not wanted):
+        if not last and (now_ns - self._offered_ns < self._least_offer_ns or not wanted):
+            self._owing = self.publisher.takes_updates and self.pipeline.map.has_changed
             return
         self._place.look_up(now_ns, last)
         self._keep_changes()
+        self._owing = bool(self._unsent) and not publisher_ready
         if not publisher_ready:
             return
         if not (last or self._unsent or self._forgotten or now_ns - self._offered_ns > OFFER_PERIOD_NS):

@@ -201,20 +201,13 @@ class Readers:
 
     def _gathered(self, patience_s: float, rest_s: float, awaited: Awaited | None = None) -> list[Record]:
         """What ports gave; see `take`."""
-        until_s = time.monotonic() + patience_s
         if rest_s > 0:
             time.sleep(min(rest_s, patience_s))
-        records = more = self._pipe.take(0)
-        while not any(awaited is None or self._is(record, awaited) for record in more):
-            left_s = until_s - time.monotonic()
-            if left_s <= 0:
-                break
-            more = self._pipe.take(left_s)
-            records += more
-        return records
-
-    def _is(self, record: Record, awaited: Awaited) -> bool:
-        return record.read_ns >= awaited.since_ns and self._names[record.port] in awaited.devices
+        left_s = patience_s - rest_s
+        if awaited is None:
+            return self._pipe.take(left_s)
+        ports = (port for port, name in enumerate(self._names) if name in awaited.devices)
+        return self._pipe.take(left_s, ports, awaited.since_ns)
 
     def _parse(self, records: list[Record]) -> bool:
         """Make samples of what ports gave, and let deadlines pass; was there anything?"""

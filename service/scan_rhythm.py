@@ -19,10 +19,14 @@ AHEAD_S = 0.003
 """So long before a scan can be complete, all that has come is done: what completes it is then done at once."""
 EARLY_NS = 1_500_000
 """What completes a scan may come so much earlier than was foreseen."""
+OWING_REST_S = 0.001
+"""While the publisher has no room for what was mapped."""
 
 
-def take_in_rhythm(readers: Readers, pipeline: Pipeline, clock: Clock) -> list[Arrival]:
-    """What the sensors have given, once it is time to look."""
+def take_in_rhythm(readers: Readers, pipeline: Pipeline, clock: Clock, owing: bool = False) -> list[Arrival]:
+    """What the sensors have given, once it is time to look; `owing`: tiles wait for the publisher."""
+    if owing:
+        return readers.take(0.0, OWING_REST_S)
     next_ns = pipeline.next_scan_ns()
     if next_ns is None:
         return readers.take(LONGEST_REST_S, REST_S)

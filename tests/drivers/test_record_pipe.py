@@ -11,7 +11,7 @@ import pytest
 from drivers import port_read
 from drivers.errors import PortLost
 from drivers.port_read import read_in_machine_code
-from drivers.record_pipe import LOST, NOT_STAMPED, OPENED, READ_BYTES, Record, RecordPipe
+from drivers.record_pipe import BELL_FD, LOST, NOT_STAMPED, OPENED, READ_BYTES, Record, RecordPipe
 from drivers.transports import SerialTransport, open_serial
 from simulator.ports import PseudoPort
 
@@ -150,3 +150,36 @@ def test_a_full_pipe_refuses_a_record_whole(pipe: RecordPipe) -> None:
     assert [record.read_ns for record in taken] == list(range(count))
     assert pipe.put(1, 2, OPENED, read_ns=5)
     assert pipe.take(0) == [Record(1, 2, OPENED, 5, 0, 0, 0, b"")]
+
+
+def test_who_waits_for_a_port_sleeps_over_what_others_give(
+    port: PseudoPort, pipe: RecordPipe, pumping: Pumping
+) -> None:
+    """Neither other ports end that wait nor what was read too early; what they gave is there when it ends."""
+    taken: list[Record] = []
+    since_ns = time.monotonic_ns() + 1
+
+    def wait() -> None:
+        taken.extend(pipe.take(3 * PATIENCE_S, [3], since_ns))
+
+    waiting = threading.Thread(target=wait)
+    waiting.start()
+    assert pipe.put(0, 1, 5, data=b"other", read_ns=since_ns)
+    assert pipe.put(3, 1, 5, data=b"early", read_ns=since_ns - 1)
+    waiting.join(0.05)
+    assert waiting.is_alive()
+    port.write(b"awaited")
+    waiting.join(PATIENCE_S)
+    assert not waiting.is_alive()
+    assert [record.data for record in taken] == [b"other", b"early", b"awaited"]
+
+
+def test_a_wait_that_nothing_ends_is_over_in_time_and_gives_what_came(pipe: RecordPipe) -> None:
+    """Late bells change nothing: one that was rung for an earlier wait is no reason to come back."""
+    assert pipe.put(1, 1, 1, data=b"1")
+    assert len(pipe.take(PATIENCE_S, [1])) == 1
+    os.eventfd_write(int(pipe.alarm[BELL_FD]), 1)
+    assert pipe.put(0, 1, 1, data=b"0")
+    begun_s = time.monotonic()
+    assert [record.port for record in pipe.take(0.05, [1])] == [0]
+    assert time.monotonic() - begun_s >= 0.05

@@ -4,7 +4,7 @@ from drivers.clock import SystemClock
 from service.pipeline import MOTION, Pipeline
 from service.readers import Awaited, Readers
 from service.sample_queue import Arrival
-from service.scan_rhythm import AHEAD_S, EARLY_NS, LONGEST_REST_S, REST_S, take_in_rhythm
+from service.scan_rhythm import AHEAD_S, EARLY_NS, LONGEST_REST_S, OWING_REST_S, REST_S, take_in_rhythm
 
 NOW_NS = 5_000_000_000
 MS = 1_000_000
@@ -77,3 +77,10 @@ def test_motion_that_never_comes_is_not_waited_for_again_and_again() -> None:
     """A silent sensor: the others are taken as if no scan were to come."""
     readers = asked(NOW_NS - 25 * MS)
     assert (readers.rest_s, readers.awaited) == (REST_S, None)
+
+
+def test_while_tiles_wait_for_the_publisher_it_looks_again_soon() -> None:
+    """They are offered once there is room, not with the next scan."""
+    readers = Asked()
+    take_in_rhythm(readers, Foreseen(NOW_NS + 10 * MS), Stopped(), owing=True)
+    assert (readers.rest_s, readers.timeout_s, readers.awaited) == (OWING_REST_S, 0.0, None)
