@@ -10,6 +10,8 @@ from service.config import LoadedConfig, load
 from service.shipped import shipped_config
 from simulator.errors import LAWS
 
+TRULY_ACROSS_DEG = 1.0
+
 
 @pytest.fixture(scope="module")
 def demo() -> LoadedConfig:
@@ -68,6 +70,27 @@ def test_a_lie_comes_to_light(demo: LoadedConfig, device: str, bounds: dict[str,
     )
     pose_violations, cell_violations, _ = drive.violations()
     assert pose_violations + cell_violations > 0 or not drive.pipeline.filter.guarantee.intact
+
+
+@pytest.mark.parametrize(("declared_deg", "holds"), [(TRULY_ACROSS_DEG, True), (0.0, False)])
+def test_beams_that_are_off_across_the_scan_are_mapped_within_their_own_bound(
+    demo: LoadedConfig, declared_deg: float, holds: bool
+) -> None:
+    """Off by more than along the scan; a map that did not heed it would miss true hits."""
+    truly = lie(demo, "laser", across_bound_deg=TRULY_ACROSS_DEG).config.devices
+    drive = drive_virtually(
+        lie(demo, "laser", across_bound_deg=declared_deg),
+        scene="rough",
+        law="corners",
+        seed=11,
+        duration_s=4.0,
+        true_devices=truly,
+    )
+    pose_violations, cell_violations, hits = drive.violations()
+    assert pose_violations == 0
+    assert hits > 20_000
+    assert (cell_violations == 0) is holds
+    assert drive.pipeline.filter.guarantee.intact
 
 
 def test_a_drive_repeats_bit_for_bit(demo: LoadedConfig) -> None:
