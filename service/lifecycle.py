@@ -91,30 +91,38 @@ def _watchdog_ns(environment: Mapping[str, str], pid: int) -> int | None:
     return int(text) * 1000
 
 
+def _hangup() -> tuple[signal.Signals, ...]:
+    """SIGHUP, unless whoever started the process has it ignored (`nohup`)."""
+    return () if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else (signal.SIGHUP,)
+
+
 @contextmanager
 def terminated_like_interrupted() -> Iterator[None]:
-    """SIGTERM does what Ctrl-C does (KeyboardInterrupt): child processes and temporary folders are cleared away.
+    """SIGTERM and SIGHUP do what Ctrl-C does (KeyboardInterrupt): processes and temporary folders are cleared away.
 
     For commands that have no orderly end but their own. Main thread only.
     """
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    numbers = (signal.SIGTERM, *_hangup())
+    before = {number: signal.signal(number, signal.default_int_handler) for number in numbers}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number in numbers:
+            signal.signal(number, before[number])
 
 
 @contextmanager
 def stop_on_signals(
     event: threading.Event | None = None, tell: Callable[[str], None] | None = None
 ) -> Iterator[threading.Event]:
-    """SIGTERM and SIGINT set the event that is handed out: an orderly end, exit code 0.
+    """SIGTERM, SIGINT and SIGHUP (the terminal is gone) set the event that is handed out: an orderly end, exit code 0.
 
-    A second signal falls through to what was installed before: an end that hangs can still be interrupted.
+    A second signal falls through to what was installed before: an end that hangs can still be interrupted. But not a
+    second SIGHUP: a terminal that goes away sends it, and so does its shell.
     Works in the main thread only, as signals do.
     """
     event = threading.Event() if event is None else event
-    numbers = (signal.SIGTERM, signal.SIGINT)
+    numbers = (signal.SIGTERM, signal.SIGINT, *_hangup())
     before = {number: signal.getsignal(number) for number in numbers}
     # The event's lock isn't reentrant, and a signal may arrive while the main thread holds it (inside wait): so the
     # signal only writes a byte, and a thread of its own sets the event.
@@ -126,6 +134,8 @@ def stop_on_signals(
 
     def stop(number: int, frame: object) -> None:
         restore()
+        if signal.SIGHUP in numbers:
+            signal.signal(signal.SIGHUP, signal.SIG_IGN)
         os.write(speaking, bytes([number]))
 
     def listen() -> None:

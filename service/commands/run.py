@@ -34,7 +34,8 @@ SWITCH_S = 0.001
 
 
 def run(*, config: Path) -> int:
-    """Read the sensors, keep the pose set and the map, and stream tiles, until told to stop (SIGTERM, Ctrl-C).
+    """Read the sensors, keep the pose set and the map, and stream tiles, until told to stop (SIGTERM, Ctrl-C, a
+    terminal that goes away).
 
     A device that is missing, busy or unplugged is named once, tried again until it is there, and mapping goes on with
     what the others give as far as that goes. So it does where the address is in use, or nothing can be recorded.

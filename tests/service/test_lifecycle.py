@@ -1,16 +1,18 @@
 """Start, watchdog, signals."""
 
+import fcntl
 import os
 import signal
 import socket
 import subprocess
 import sys
+import termios
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from service.lifecycle import ServiceNotifier, stop_on_signals
+from service.lifecycle import ServiceNotifier, stop_on_signals, terminated_like_interrupted
 
 
 class FakeSystemd:
@@ -95,9 +97,9 @@ def test_a_missing_or_deaf_systemd_never_stops_the_service(tmp_path: Path) -> No
     deaf.socket.close()
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_signal_ends_the_process_in_order_with_code_zero(number: signal.Signals) -> None:
-    """SIGTERM and SIGINT set the event; the process ends by itself and says 0."""
+    """SIGTERM, SIGINT and SIGHUP set the event; the process ends by itself and says 0."""
     program = (
         "from service.lifecycle import stop_on_signals\n"
         "with stop_on_signals() as stop:\n"
@@ -111,6 +113,60 @@ def test_a_signal_ends_the_process_in_order_with_code_zero(number: signal.Signal
     process.send_signal(number)
     rest, _ = process.communicate(timeout=20)
     assert (rest, process.returncode) == ("ended in order\n", 0)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_command_without_an_end_of_its_own_is_interrupted(number: signal.Signals) -> None:
+    """As by Ctrl-C: what it has begun is cleared away. After the block the signal does what it did."""
+    before = signal.getsignal(number)
+    with pytest.raises(KeyboardInterrupt), terminated_like_interrupted():
+        os.kill(os.getpid(), number)
+    assert signal.getsignal(number) is before
+
+
+def on_its_terminal(program: str, *arguments: str) -> tuple[subprocess.Popen[bytes], int]:
+    """A process on a terminal of its own, and that terminal's other end."""
+    ours, theirs = os.openpty()
+
+    def take_terminal() -> None:
+        fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+
+    process = subprocess.Popen(
+        [sys.executable, "-c", program, *arguments],
+        stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True, preexec_fn=take_terminal,
+    )  # fmt: skip
+    os.close(theirs)
+    return process, ours
+
+
+def test_a_terminal_that_goes_away_is_no_reason_to_lose_anything(tmp_path: Path) -> None:
+    """A robot's ssh connection breaks: the end is orderly, also where the shell sends a signal of its own after it."""
+    program = (
+        "import os, pathlib, signal, sys\n"
+        "from service.lifecycle import stop_on_signals\n"
+        "with stop_on_signals() as stop:\n"
+        "    print('running', flush=True)\n"
+        "    assert stop.wait(60)\n"
+        "    os.kill(os.getpid(), signal.SIGHUP)\n"
+        "    pathlib.Path(sys.argv[1]).write_text('saved')\n"
+    )
+    process, terminal = on_its_terminal(program, str(tmp_path / "map"))
+    with os.fdopen(terminal, "rb", buffering=0) as other_end:
+        assert other_end.readline() == b"running\r\n"
+    assert process.wait(60) == 0
+    assert (tmp_path / "map").read_text() == "saved"
+
+
+def test_whoever_ignores_the_terminals_end_is_left_running() -> None:
+    """`nohup terrabound run`: it stays ignored."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with stop_on_signals() as stop:
+            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+            assert not stop.is_set()
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_a_second_signal_interrupts_an_end_that_hangs() -> None:
