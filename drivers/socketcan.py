@@ -1,8 +1,11 @@
 """A CAN interface of the kernel as a transport (drivers/transports.py)."""
 
 import contextlib
+import errno
+import os
 import time
 from collections.abc import Sequence
+from pathlib import Path
 
 import can
 from can.typechecking import CanFilter
@@ -12,6 +15,9 @@ from drivers.kernel_stamps import KernelStamps
 from drivers.record_pipe import LOST, NOT_STAMPED, RecordPipe
 from drivers.track_encoders.codec import CanFrame, pack_can_frame, unpack_can_frame
 from drivers.transports import WRITE_PATIENCE_S
+
+_NETWORK = Path("/sys/class/net")
+_ARPHRD_CAN, _IFF_UP = "280", 1
 
 LONGEST_WAIT_S = 0.05
 """`pump` comes back as often, so that the wish to stop is seen."""
@@ -106,11 +112,45 @@ def open_socketcan(interface: str, bitrate: int, messages: Sequence[tuple[int, b
     try:
         bus = can.Bus(interface="socketcan", channel=interface, can_filters=filters or None)
     except (can.CanError, OSError) as error:
-        raise PortMissing(
-            f"{interface}: no CAN interface that is up ({error}); "
-            f"bring it up with `ip link set {interface} up type can bitrate {bitrate}`"
-        ) from error
+        raise refusal(interface, bitrate, error) from error
+    if not _is_up(interface):
+        bus.shutdown()
+        raise refusal(interface, bitrate, OSError(errno.ENETDOWN, os.strerror(errno.ENETDOWN)))
     return SocketCanTransport(interface, bus)
+
+
+def refusal(interface: str, bitrate: int, error: Exception) -> PortMissing:
+    """The error that tells a person why `interface` can't be opened, and what to do."""
+    number = getattr(error, "errno", None)
+    if number in (errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT):
+        return PortMissing(
+            f"{interface}: this system has no CAN ({error}); load it with `modprobe can_raw`, in a systemd unit "
+            "allow it with RestrictAddressFamilies=AF_CAN, or use an slcan adapter"
+        )
+    if number == errno.ENODEV:
+        there = ", ".join(sorted(path.parent.name for path in _NETWORK.glob("*/type") if _is_can(path))) or "none"
+        return PortMissing(
+            f"{interface}: no such CAN interface (there are: {there}); plug the adapter in, or name its interface"
+        )
+    return PortMissing(
+        f"{interface}: the CAN interface can't be used ({error}); "
+        f"bring it up with `ip link set {interface} up type can bitrate {bitrate}`"
+    )
+
+
+def _is_can(type_file: Path) -> bool:
+    try:
+        return type_file.read_text().strip() == _ARPHRD_CAN
+    except OSError:  # it has just gone
+        return False
+
+
+def _is_up(interface: str) -> bool:
+    """Is it, as far as the kernel tells? One that is down can be opened, and fails with the first read."""
+    try:
+        return bool(int((_NETWORK / interface / "flags").read_text(), 16) & _IFF_UP)
+    except (OSError, ValueError):
+        return True
 
 
 def _frame_of(message: can.Message) -> CanFrame:

@@ -184,7 +184,7 @@ def open_serial(port: str, baud: int, *, at_once: bool = False) -> SerialTranspo
     try:
         line = serial.Serial(port, baud, timeout=0, exclusive=True, xonxoff=False, rtscts=False, dsrdtr=False)
     except (OSError, termios.error) as error:  # SerialException is an OSError
-        raise _refusal(port, baud, error) from error
+        raise refusal(port, baud, error) from error
     except ValueError as error:
         raise PortError(f"{port}: {baud} baud is not possible ({error}); set another rate") from error
     # A USB adapter may hold bytes back for 16 ms unless asked not to; others don't know the question.
@@ -193,7 +193,7 @@ def open_serial(port: str, baud: int, *, at_once: bool = False) -> SerialTranspo
     return SerialTransport(port, line, opened_ns)
 
 
-def _refusal(port: str, baud: int, error: Exception) -> PortError:
+def refusal(port: str, baud: int, error: Exception) -> PortError:
     """The error that tells a person why `port` can't be opened, and what to do."""
     number = getattr(error, "errno", None)
     if number in (errno.ENOENT, errno.ENXIO, errno.ENODEV, errno.EIO):
@@ -202,6 +202,11 @@ def _refusal(port: str, baud: int, error: Exception) -> PortError:
         return PortMissing(f"{port}: no such port{seen}; plug the device in, or name its port in the configuration")
     if number in (errno.EBUSY, errno.EAGAIN):
         return PortBusy(f"{port}: another process has this port open; end it, or name another port")
-    if number in (errno.EACCES, errno.EPERM):
+    if number == errno.EPERM:
+        return PortError(
+            f"{port}: the system forbids to open it, whatever its file's permissions; a systemd unit allows its kind "
+            "with DeviceAllow=char-... rw, named as in /proc/devices"
+        )
+    if number == errno.EACCES:
         return PortError(f"{port}: no permission to open it; add this user to the group that owns it (often `dialout`)")
     return PortError(f"{port}: can't be used as a serial port at {baud} baud ({error}); name the device's own port")

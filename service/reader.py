@@ -90,21 +90,24 @@ class Reader:
         """Open, pump, and after a loss wait a little longer each time before trying again."""
         pause_s = FIRST_RETRY_S
         while not self._stopping.is_set():
+            began_s = time.monotonic()
             self._health.alive(self._device.name, time.monotonic_ns())
             try:
-                transport = self._device.open()
+                self._read_until_lost()
             except PortError as error:
                 self._health.port_failed(self._device.name, str(error))
+                if time.monotonic() - began_s > LAST_RETRY_S:  # it had been there; one that opens and fails had not
+                    pause_s = FIRST_RETRY_S
                 self._stopping.wait(pause_s)
                 pause_s = min(2 * pause_s, LAST_RETRY_S)
-                continue
-            pause_s = FIRST_RETRY_S
-            try:
-                self._pump(transport)
-            except PortError as error:
-                self._health.port_failed(self._device.name, str(error))
-            finally:
-                transport.close()
+
+    def _read_until_lost(self) -> None:
+        """One opening of the port, until it is lost or nobody reads any more."""
+        transport = self._device.open()
+        try:
+            self._pump(transport)
+        finally:
+            transport.close()
 
     def _pump(self, transport: Transport) -> None:
         """Keep one open port's bytes flowing, and do what is asked for."""

@@ -1,5 +1,6 @@
 """Serial ports as the service meets them, over real pseudo-terminals."""
 
+import errno
 import os
 import signal
 import time
@@ -11,7 +12,8 @@ import pytest
 from drivers import port_read
 from drivers.errors import PortBusy, PortError, PortLost, PortMissing
 from drivers.socketcan import open_socketcan
-from drivers.transports import SerialTransport, open_serial
+from drivers.socketcan import refusal as can_refusal
+from drivers.transports import SerialTransport, open_serial, refusal
 from simulator.ports import PseudoPort
 
 EVERY_BYTE = bytes(range(256))
@@ -224,7 +226,37 @@ def test_impossible_rate_is_refused(port: PseudoPort) -> None:
         open_serial(port.path, -1)
 
 
-def test_missing_can_interface_says_how_to_bring_it_up() -> None:
-    """The command to type stands in the message."""
-    with pytest.raises(PortMissing, match="ip link set nocan0 up type can bitrate 500000"):
+def test_a_missing_can_interface_is_told_with_what_to_do() -> None:
+    """Whether this system knows CAN or not: what it lacks stands in the message, and a command for that."""
+    with pytest.raises(PortMissing) as told:
         open_socketcan("nocan0", 500000)
+    assert str(told.value).startswith("nocan0: ")
+    lacks_can = getattr(told.value.__cause__, "errno", None) == errno.EAFNOSUPPORT
+    assert ("modprobe can_raw" if lacks_can else "no such CAN interface") in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("number", "advice"),
+    [
+        (errno.EAFNOSUPPORT, "modprobe can_raw"),
+        (errno.EPROTONOSUPPORT, "modprobe can_raw"),
+        (errno.ENODEV, "plug the adapter in"),
+        (errno.ENETDOWN, "ip link set can7 up type can bitrate 125000"),
+    ],
+)
+def test_why_a_can_interface_is_refused_decides_what_is_advised(number: int, advice: str) -> None:
+    """A kernel without CAN, no such interface, one that is down: to bring it up helps in the last case alone."""
+    told = str(can_refusal("can7", 125000, OSError(number, os.strerror(number))))
+    assert advice in told
+    assert os.strerror(number) in told or number == errno.ENODEV
+    assert ("ip link set" in told) is (number == errno.ENETDOWN)
+
+
+def test_a_port_that_the_system_forbids_is_not_blamed_on_its_group() -> None:
+    """EPERM is a unit's DevicePolicy, EACCES the file's permissions."""
+    forbidden, closed = (
+        str(refusal("/dev/ttyX0", 9600, OSError(number, os.strerror(number)))) for number in (errno.EPERM, errno.EACCES)
+    )
+    assert "DeviceAllow=" in forbidden
+    assert "dialout" not in forbidden
+    assert "dialout" in closed

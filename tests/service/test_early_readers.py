@@ -5,16 +5,20 @@ import sys
 import threading
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from drivers.clock import SystemClock
 from drivers.errors import ConfigurationError
 from drivers.samples import Stamp, WheelTicks
+from drivers.transports import Transport, open_serial
 from service.config import load
+from service.devices import wiring
 from service.readers import Readers
 from service.sample_queue import Arrival
 from service.shipped import shipped_config
+from simulator.ports import PseudoPort
 
 PROGRAM = """
 import sys
@@ -49,6 +53,33 @@ def test_what_is_not_read_punctually_is_not_used() -> None:
         readers.queue.put([sample, punctual])
         assert readers.queue.take(0) == [punctual]
         assert readers.queue.dropped == {"encoders": 2}
+    finally:
+        readers.stop()
+        readers.close()
+
+
+def test_a_port_that_opens_and_fails_at_once_is_not_tried_without_a_pause(tmp_path: Path) -> None:
+    """As a CAN interface that is down, or an adapter that has lost its device: a busy loop would cost a core."""
+    openings: list[float] = []
+
+    def open_and_unplug() -> Transport:
+        openings.append(time.monotonic())
+        plug = PseudoPort(tmp_path / "port")
+        transport = open_serial(str(tmp_path / "port"), 9600, at_once=True)
+        plug.close()
+        return transport
+
+    loaded = load(shipped_config("demo.toml"))
+    gps = next(device for device in wiring(loaded) if device.name == "gps")
+    readers = Readers(loaded, SystemClock(), devices=(replace(gps, open=open_and_unplug),))
+    readers.start()
+    try:
+        deadline = time.monotonic() + 60
+        while len(openings) < 7:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        assert openings[6] - openings[0] >= 0.05 + 0.1 + 0.2 + 0.4 + 0.8 + 1.6
+        assert "went away" in readers.health.failures["gps"]
     finally:
         readers.stop()
         readers.close()
