@@ -27,3 +27,5 @@ class MapUpdate:
     """Tiles that the map has let go of since the last update: they are listed no more."""
     beams_until_ns: int | None = None
     """No beam in the tiles is newer."""
+    stored: tuple[TileId, ...] = ()
+    """Tiles that changed, too, as the store has them."""

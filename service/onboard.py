@@ -14,14 +14,14 @@ from typing import Any
 from drivers.clock import Clock
 from drivers.errors import TerraboundError
 from estimator.bounded_pose import Anchor, BoundedPose, Guarantee
-from mapper.tile import Tile, join
+from mapper.tile import Tile
 from service.config import LoadedConfig
 from service.devices import Device, wiring
 from service.lifecycle import process_age_s
 from service.map_file import save_map, save_tiles
 from service.map_keeper import MapKeeper, Unkept
 from service.map_update import MAP_FRAME, MapUpdate
-from service.messages import TileId, fault_values
+from service.messages import fault_values
 from service.offered_place import OfferedPlace
 from service.pipeline import Pipeline
 from service.published_map import Recall, nothing_kept
@@ -32,6 +32,7 @@ from service.rolling_window import RollingWindow
 from service.scan_rhythm import take_in_rhythm
 from service.session_ahead import SessionAhead
 from service.unpublished import Unpublished
+from service.unsent_tiles import UnsentTiles
 
 IDLE_S = 0.02
 """The pipeline thread looks up this often when no sample comes."""
@@ -91,9 +92,7 @@ class Onboard:
         robot = config.robot.name
         self.publisher = Publisher(config.publish, robot, about, *recalled, ahead=ahead) if publish else Unpublished()
         self._window = RollingWindow(config.map, self.keeper)
-        self._unsent: dict[TileId, Tile] = {}
-        """Tiles that changed since the publisher's last update."""
-        self._forgotten: list[TileId] = []
+        self._unsent = UnsentTiles(recalled[1])
         self._keep = keep
         self._failure: BaseException | None = None
         self._loaded = loaded
@@ -282,30 +281,35 @@ class Onboard:
         publisher_ready = self.publisher.ready
         wanted = publisher_ready or self.keeper.due(now_ns)
         if not last and (now_ns - self._offered_ns < self._least_offer_ns or not wanted):
-            self._owing = self.publisher.takes_updates and self.pipeline.map.has_changed
+            self._owing = self._is_soon_taken and self.pipeline.map.has_changed
             return
         self._place.look_up(now_ns, last)
         self._keep_changes()
-        self._owing = bool(self._unsent) and not publisher_ready
+        self._owing = self._is_soon_taken and bool(self._unsent) and not publisher_ready
         if not publisher_ready:
             return
-        if not (last or self._unsent or self._forgotten or now_ns - self._offered_ns > OFFER_PERIOD_NS):
+        if not (last or self._unsent or now_ns - self._offered_ns > OFFER_PERIOD_NS):
             return
         self._offered_ns = now_ns
-        tiles, self._unsent = tuple(self._unsent.values()), {}
-        forgotten, self._forgotten = tuple(self._forgotten), []
+        unsent = self._unsent.take()
         self.publisher.offer(
             MapUpdate(
-                tiles=tiles,
+                tiles=unsent.tiles,
+                stored=unsent.stored,
                 pose=self._place.take_pose(),
                 anchor=self._place.anchor,
                 health=self._health_now(now_ns, last),
                 guarantee=self.pipeline.filter.guarantee,
                 released_ns=self.pipeline.released_ns,
-                forgotten=forgotten,
+                forgotten=unsent.forgotten,
                 beams_until_ns=self.pipeline.beams_until_ns,
             )
         )
+
+    @property
+    def _is_soon_taken(self) -> bool:
+        """Has the publisher a session? Else nobody looks a thousand times a second whether it takes an update."""
+        return self.publisher.takes_updates and self.publisher.failure is None
 
     def _health_now(self, now_ns: int, last: bool) -> Mapping[str, Any]:
         """Health as it is published. It goes out far less often than tiles: put together ten times a second."""
@@ -324,19 +328,15 @@ class Onboard:
             tiles = terrain.tiles()
         if tiles or self.keeper.due(time.monotonic_ns()):
             self.keeper.offer(tiles, self._place.anchor, state.guarantee, self.pipeline.released_ns)
-        for tile in tiles if self.publisher.takes_updates else ():
-            place = TileId(tile.submap, tile.ix, tile.iy)
-            # What waited may have left memory meanwhile: the newer one need not contain it.
-            self._unsent[place] = join(self._unsent[place], tile) if place in self._unsent else tile
+        if self.publisher.takes_updates:
+            self._unsent.add(tiles)
 
     def _roll(self) -> None:
         """Let far tiles leave memory where it is short; join what has come back."""
         if self._window.is_full(self.pipeline.map):
             forgotten = self._window.roll(self.pipeline.map, self.pipeline.filter.latest())
-            for place in forgotten:
-                self._unsent.pop(place, None)
             if self.publisher.takes_updates:
-                self._forgotten += forgotten
+                self._unsent.forget(forgotten)
         for tile in self.keeper.returned():
             self.pipeline.map.join(tile)
 

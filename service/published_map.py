@@ -89,9 +89,8 @@ class PublishedMap:
         away = self._away.get(place)
         if published is not None or away is None:
             return published
-        recalled = self._recall(place)
+        recalled = self.recall(place)
         if recalled is None:
-            self.not_recalled += 1
             del self._away[place]
             return None
         tile = snap_outward(recalled)
@@ -100,6 +99,12 @@ class PublishedMap:
             # The store has more than was published by now: the next digest lists it.
             self._away[place] = away = _Away(away.version + 1, crc)
         return PublishedTile(tile, away.version)
+
+    def recall(self, place: TileId) -> Tile | None:
+        """All that the store has of a tile; None, and counted, where it can't give it."""
+        tile = self._recall(place)
+        self.not_recalled += tile is None
+        return tile
 
     def update(self, tile: Tile) -> TileNews | None:
         """Take what a tile holds: what to send for it; None where nothing changed.

@@ -22,6 +22,7 @@ from mapper.tile import Tile
 from mapper.tile_codec import compile_codec
 from service.answers import Answers
 from service.map_update import MAP_FRAME, MapUpdate
+from service.messages import TileId
 from service.periodic import Periodic
 from service.publish_config import PublishConfig
 from service.published_map import EarlierSubmap, PublishedMap, Recall, nothing_kept
@@ -91,7 +92,8 @@ class Publisher:
         self._answers = Answers(robot, self._state, self._bucket, self.counts)
         self._update: MapUpdate | None = None
         """The one whose tiles are being sent."""
-        self._tiles: deque[Tile] = deque()
+        self._tiles: deque[Tile | TileId] = deque()
+        """Those that are still to be sent; the store gives what is there by its place alone."""
         self._periodic = Periodic(config, robot, self._state)
         compile_codec()
         self._thread = threading.Thread(target=self._run, name="publisher", daemon=True)
@@ -291,6 +293,7 @@ class Publisher:
         self._update = update
         self._state.take(update)
         self._tiles.extend(update.tiles)
+        self._tiles.extend(update.stored)
         if update.pose is not None:
             self._periodic.pose = update.pose
 
@@ -304,10 +307,11 @@ class Publisher:
                     self._flush_wanted, self._flushed = False, True
                     self._wake.notify_all()
 
-    def _send_tile(self, session: zenoh.Session, tile: Tile) -> None:
+    def _send_tile(self, session: zenoh.Session, changed: Tile | TileId) -> None:
         """Send what changed of one tile since it was last sent."""
-        message = None if self._update is None else self._state.news(tile, self._update)
-        if message is None:
+        tile = self._state.map.recall(changed) if isinstance(changed, TileId) else changed
+        message = None if tile is None or self._update is None else self._state.news(tile, self._update)
+        if tile is None or message is None:
             return
         key = tile_key(self._robot, tile.submap, tile.ix, tile.iy, message.kind)
         self.counts[f"{message.kind}_tiles"] += 1

@@ -1,5 +1,6 @@
 """The whole service with less memory than its map needs: copy, store and saved file are the map of the whole drive."""
 
+import socket
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -53,6 +54,15 @@ def drive() -> Iterator[list[Arrival]]:
         yield [Arrival(device, sample, 0) for device, sample in samples]
 
 
+def listening_at(locator: str) -> socket.socket:
+    """Another program at a `tcp/...` address."""
+    host, port = locator.removeprefix("tcp/").split(":")
+    other = socket.socket()
+    other.bind((host, int(port)))
+    other.listen()
+    return other
+
+
 @pytest.fixture
 def small(tmp_path: Path) -> LoadedConfig:
     """The demo's robot with room for 64 tiles in memory, and a store."""
@@ -66,15 +76,22 @@ def small(tmp_path: Path) -> LoadedConfig:
     return replace(demo, config=config)
 
 
-def test_a_drive_beyond_memory_reaches_copy_store_and_file_whole(small: LoadedConfig, tmp_path: Path) -> None:
-    """Tiles leave memory and come back meanwhile; what everybody gets equals, bit for bit, the map of roomy memory."""
+@pytest.mark.parametrize("session", ["open", "late"])
+def test_a_drive_beyond_memory_reaches_copy_store_and_file_whole(
+    session: str, small: LoadedConfig, tmp_path: Path
+) -> None:
+    """Tiles leave memory and come back meanwhile; what everybody gets equals, bit for bit, the map of roomy memory.
+
+    So it is where another program has the address for the whole drive; what waits for it takes no more memory.
+    """
     config = small.config
     roomy = Pipeline(replace(config, map=replace(config.map, max_tiles=4096)))
+    other = listening_at(config.publish.listen[0]) if session == "late" else None
     onboard = Onboard(small, SystemClock(), devices=())
     onboard.start()
     try:
         with RemoteMap(config.publish.listen[0]) as remote:
-            most = 0
+            most = most_waiting = 0
             for arrivals in drive():
                 for arrival in arrivals:
                     roomy.step(arrival)
@@ -86,6 +103,11 @@ def test_a_drive_beyond_memory_reaches_copy_store_and_file_whole(small: LoadedCo
                     assert time.monotonic() < deadline, onboard.health.troubles
                     time.sleep(0.005)
                 most = max(most, onboard.pipeline.map.tile_count)
+                most_waiting = max(most_waiting, len(onboard._unsent))
+            if other is not None:
+                assert "in use" in str(onboard.publisher.failure)
+                other.close()
+                assert onboard.publisher.wait_until_ready(PATIENCE_S)
             roomy.finish()
             onboard.finish()
             assert onboard.failure is None
@@ -99,6 +121,7 @@ def test_a_drive_beyond_memory_reaches_copy_store_and_file_whole(small: LoadedCo
     assert onboard.keeper.state()["tiles_out_of_memory"] > 10
     assert roomy.map.tile_count > 64
     assert most <= 64
+    assert most_waiting <= 64
     assert counts["beyond_cap"] == 0
 
     whole = {TileId(0, tile.ix, tile.iy): snap_outward(tile) for tile in roomy.map.tiles()}
