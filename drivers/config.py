@@ -162,6 +162,12 @@ class ImuConfig:
     port: str
     baud: int = 115200
     latency_ms: LatencyMs
+    system: Annotated[int, Field(ge=1, le=255)] | None = None
+    component: Annotated[int, Field(ge=0, le=255)] | None = None
+    """MAVLink's numbers of the board, where others (a gimbal, a camera) send inertial messages on the same line.
+
+    Absent: whoever sends one first is listened to, until it is silent for a second.
+    """
     clock_drift_ppm: Annotated[float, Field(ge=0, le=100_000)]
     """Rate error of the board's clock against the host's."""
     gyro_bias_bound_dps: NotNegative

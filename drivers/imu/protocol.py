@@ -23,6 +23,8 @@ _REFUSED = -1
 
 _Source = tuple[int, int]
 """System and component."""
+_MOST_OTHERS = 8
+"""So many are named."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +56,8 @@ class ImuProtocol:
         self._epoch = 0
         self._source: _Source | None = None
         self._source_ns = 0
+        self._others: dict[_Source, None] = {}
+        """Who else has sent inertial messages."""
         self._sequences: dict[_Source, int] = {}
         self._alive: dict[SensorKey, tuple[tuple[float, ...], int]] = {}
         """Of each sensor: its last reading, and the read that brought it first."""
@@ -82,10 +86,25 @@ class ImuProtocol:
         words = [f"{message} {number}" + self._unwell.get((message, number), "") for message, number in sensors]
         return BoardIdentity("system {} component {}:".format(*self._source), ", ".join(words))
 
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """Who else speaks, for people: a gimbal's attitude is not the robot's."""
+        others = [source for source in list(self._others) if source != self._source]
+        declared = self._config.system is not None and self._config.component is not None
+        if not others or declared:
+            return ()
+        named = ", ".join("system {} component {}".format(*source) for source in others)
+        listened = "nobody" if self._source is None else "system {} component {}".format(*self._source)
+        return (
+            f"inertial messages come from {named}, too, and are left out; {listened} is listened to: set "
+            "devices.imu.system and .component to the board's",
+        )
+
     def connection_made(self, now_ns: int) -> None:
         """Begin a new epoch: the board may have restarted meanwhile, and other parts of it may speak first."""
         self._stream.clear()
         self._sequences.clear()
+        self._others.clear()
         self._source = None
         self._begin_epoch()
 
@@ -152,12 +171,22 @@ class ImuProtocol:
     def _is_of_the_board(self, source: _Source, read_ns: int) -> bool:
         """Samples of two clocks are never mixed: the first to speak is listened to until it has been silent a while."""
         if source != self._source:
-            if self._source is not None and read_ns - self._source_ns <= _SILENT_NS:
+            if not self._may_be_the_board(source) or self._is_heard(read_ns):
+                if len(self._others) < _MOST_OTHERS:
+                    self._others[source] = None
                 return False
             self._source = source
             self._begin_epoch()
         self._source_ns = read_ns
         return True
+
+    def _may_be_the_board(self, source: _Source) -> bool:
+        """Has it the numbers that the owner declares?"""
+        return self._config.system in (None, source[0]) and self._config.component in (None, source[1])
+
+    def _is_heard(self, now_ns: int) -> bool:
+        """Has the one that is listened to spoken lately?"""
+        return self._source is not None and now_ns - self._source_ns <= _SILENT_NS
 
     def _count_losses(self, frame: MavlinkFrame) -> None:
         source = (frame.system, frame.component)

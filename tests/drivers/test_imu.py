@@ -277,6 +277,26 @@ def test_another_component_with_its_own_clock_is_left_out() -> None:
     assert (sample.device_time_us, sample.epoch) == (3, 1)
 
 
+def test_a_gimbal_that_speaks_first_is_not_the_robots_tilt_where_the_board_is_declared() -> None:
+    """Whoever else speaks is told, with the keys to set; then never listened to, even if the board is silent."""
+    gimbal, tilt = serialise(build("ATTITUDE", component=154, roll=0.7)), serialise(build("ATTITUDE", roll=0.1))
+    host = protocol()
+    assert not host.findings
+    (wrong,) = host.receive_data(gimbal, 0)
+    assert wrong.tilt_rad[0] == pytest.approx(0.7)
+    assert host.receive_data(tilt, MS) == []
+    (finding,) = host.findings
+    assert "from system 1 component 1, too" in finding
+    assert "devices.imu.system and .component" in finding
+    host = protocol(system=1, component=1)
+    assert host.receive_data(gimbal, 0) == []
+    (sample,) = host.receive_data(tilt, MS)
+    assert sample.tilt_rad[0] == pytest.approx(0.1)
+    assert host.receive_data(gimbal, 10_000 * MS) == []
+    assert host.counts["other_source"] == 2
+    assert not host.findings
+
+
 def test_a_message_with_a_clock_of_its_own_tells_no_device_time() -> None:
     """As where RAW_IMU carries calendar time and the rest counts since boot: one clock is the board's, the first."""
     host = protocol()
