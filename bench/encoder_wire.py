@@ -73,8 +73,8 @@ def counts(ticks: WheelTicks) -> Hashable:
     return ticks.left & 0xFFFF, ticks.right & 0xFFFF
 
 
-def unseen(stream: bytes, sent: Mapping[bytes, Hashable]) -> int:
-    """Lines that look like a message of the counters, with counts that were never sent: slcan has no checksum."""
-    known = set(sent.values())
+def unseen(stream: bytes, sent: Mapping[bytes, Hashable]) -> set[Hashable]:
+    """Counts that were never sent, in lines that look like a message of the counters: slcan has no checksum."""
     pairs = (bytes.fromhex(digits.decode()) for digits in _TRACKS_LINE.findall(stream))
-    return sum((int.from_bytes(p[:2], "little"), int.from_bytes(p[2:], "little")) not in known for p in pairs)
+    found: set[Hashable] = {(int.from_bytes(p[:2], "little"), int.from_bytes(p[2:], "little")) for p in pairs}
+    return found - set(sent.values())

@@ -75,13 +75,21 @@ def driver() -> Callable[[bytes], list[Hashable]]:
     return lambda data: [_place_of(fix) for fix in (host.receive_data(data, 0) if data else host.finish())]
 
 
-def unseen(stream: bytes, sent: Mapping[bytes, Hashable]) -> int:
-    """Sentences with a right checksum that were never sent: an XOR can't tell."""
+def unseen(stream: bytes, sent: Mapping[bytes, Hashable]) -> set[Hashable]:
+    """What sentences with a right checksum say that were never sent: an XOR can't tell."""
     known = {line.strip() for line in sent}
-    return sum(
-        match.group(0) not in known and functools.reduce(operator.xor, match.group(1), 0) == int(match.group(2), 16)
+    passing = (
+        match.group(0)
         for match in _SUMMED.finditer(stream)
+        if match.group(0) not in known and functools.reduce(operator.xor, match.group(1), 0) == int(match.group(2), 16)
     )
+    return {key for sentence in passing for key in _alone(sentence)}
+
+
+def _alone(sentence: bytes) -> list[Hashable]:
+    """What a sentence says by itself."""
+    receive = driver()
+    return [*receive(sentence + b"\r\n"), *receive(b"")]
 
 
 def _position(i: int, random: Random) -> Position:

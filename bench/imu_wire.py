@@ -50,9 +50,10 @@ def driver() -> Callable[[bytes], list[Hashable]]:
     return lambda data: [_key(sample) for sample in (host.receive_data(data, 0) if data else host.finish())]
 
 
-def unseen(stream: bytes, sent: Mapping[bytes, Hashable]) -> int:
-    """Places where something that nobody sent passes for a packet: one damaged packet in 65536 has a right checksum."""
-    return sum(1 for at in range(len(stream)) if (frame := _passes(stream, at)) is not None and frame not in sent)
+def unseen(stream: bytes, sent: Mapping[bytes, Hashable]) -> set[Hashable]:
+    """What passes for a packet that nobody sent: one damaged packet in 65536 has a right checksum."""
+    passing = (_passes(stream, at) for at in range(len(stream)))
+    return {key for frame in passing if frame is not None and frame not in sent for key in driver()(frame)}
 
 
 def _passes(stream: bytes, at: int) -> bytes | None:

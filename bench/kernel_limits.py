@@ -119,8 +119,7 @@ def warm_loop_line() -> str:
 
 
 COLD = """
-import resource, time
-begin = time.perf_counter()
+import resource
 import numpy as np
 from bench.bench_kernel import BEAMS, LASER, rough_scan
 from mapper.config import MapConfig
@@ -129,7 +128,8 @@ terrain = ElevationMap(MapConfig(resolution_m=0.05), LASER)
 half = np.array([[0.05] * 3 + [0.01] * 3])
 terrain.insert(rough_scan(), -half, half, np.zeros(BEAMS, np.int32))
 used = resource.getrusage(resource.RUSAGE_SELF)
-print(time.perf_counter() - begin, used.ru_utime + used.ru_stime)
+from service.lifecycle import process_age_s
+print(process_age_s(), used.ru_utime + used.ru_stime)
 """
 
 

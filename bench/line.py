@@ -19,7 +19,7 @@ from service.onboard import Onboard
 
 @dataclass(frozen=True, slots=True)
 class LineResult:
-    """One drive of the emulated robot: laser 75 Hz, inertial 400 packets/s, ticks 100 Hz, GPS 10 Hz."""
+    """One drive of the emulated robot: laser 75 Hz, 350 inertial packets/s, ticks 100 Hz, GPS 10 Hz."""
 
     speed: float | Literal["max"]
     seconds_driven: float

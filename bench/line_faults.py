@@ -49,9 +49,10 @@ def measure(wire: Wire, kind: str, count: int = FRAMES, seed: int = 1) -> Result
         intact = Counter(set(intact))
     delivered = (found & intact).total()
     # A frame that is struck where it doesn't matter, in its line end, may come out: it says what was sent.
-    false = (found - (intact | Counter(set(key_of.values())))).total()
-    unseen = min(false, wire.unseen(b"".join(damaged.chunks), key_of))
-    return Result(wire.name, kind, count, intact.total(), delivered, false - unseen, unseen)
+    invented = found - (intact | Counter(set(key_of.values())))
+    untold = wire.unseen(b"".join(damaged.chunks), key_of)
+    unseen = sum(times for key, times in invented.items() if key in untold)
+    return Result(wire.name, kind, count, intact.total(), delivered, invented.total() - unseen, unseen)
 
 
 def results(count: int = FRAMES) -> list[Result]:

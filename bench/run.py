@@ -43,7 +43,9 @@ PROOF_TEXT = """## Soundness
 
 `make prove` holds every pose set and every hit of many drives against the truth: [PROVED.md](PROVED.md).
 `make prove` also holds the filter alone against the truth, over a million steps: [PROVED_POSES.md](PROVED_POSES.md).
-`make prove` also holds 20 million points against boxes and cells: [PROVED_BOXES.md](PROVED_BOXES.md).
+`make prove` also holds points against boxes and cells: [PROVED_BOXES.md](PROVED_BOXES.md).
+`make prove` also drives robots, and mounts lasers, that nobody has built: [PROVED_ROBOTS.md](PROVED_ROBOTS.md),
+[PROVED_MOUNTS.md](PROVED_MOUNTS.md).
 `make prove` also fires millions of hostile bytes at every parser: [PROVED_PARSERS.md](PROVED_PARSERS.md).
 """
 POSE_SETS_TEXT = """## Pose sets

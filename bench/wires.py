@@ -38,8 +38,8 @@ class Wire:
     """frames(seed, count): what a device sends, each with its key."""
     receiver: Callable[[], Receive]
     """A new driver, ready to read."""
-    unseen: Callable[[bytes, Mapping[bytes, Hashable]], int] = lambda stream, sent: 0
-    """How many frames in a damaged stream were not sent, and yet no check of the wire can tell it."""
+    unseen: Callable[[bytes, Mapping[bytes, Hashable]], set[Hashable]] = lambda stream, sent: set()
+    """Keys of what in a damaged stream was not sent, and yet no check of the wire can tell it."""
     once: bool = False
     """Does a frame that comes twice say nothing new?"""
 
