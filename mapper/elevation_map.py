@@ -172,9 +172,11 @@ class ElevationMap:
 
     def take_dirty(self) -> tuple[Tile, ...]:
         """Copies of the tiles in which any cell has changed since the last call."""
-        indices = np.flatnonzero(self._dirty[: self.tile_count])
+        (indices,) = self._dirty[: self.tile_count].nonzero()
+        if not indices.size:
+            return ()
         self._dirty[indices] = False
-        return tuple(self._tile(int(index)) for index in indices)
+        return tuple([self._tile(index) for index in indices.tolist()])
 
     def tiles(self) -> tuple[Tile, ...]:
         """Copies of all tiles, in the order in which they were first touched."""

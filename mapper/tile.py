@@ -21,17 +21,18 @@ Flags = NDArray[np.bool_]
 SNAP_M = 2.0**-9
 """Step of the published elevations."""
 _STEP, _PER_STEP = np.float32(SNAP_M), np.float32(1 / SNAP_M)
-_ZERO = np.float32(0.0)
+ZERO = np.float32(0.0)
 """-0 + 0 is +0."""
-_NAN = np.uint32(0x7FC00000).view(np.float32)
+NAN = np.uint32(0x7FC00000).view(np.float32)
 _ALL_STEPS_M = np.float32(2.0**14)
 """From here on every float32 is a multiple of SNAP_M."""
 
-NOWHERE: Layer = np.full((TILE_SIDE, TILE_SIDE), _NAN)
+NOWHERE: Layer = np.full((TILE_SIDE, TILE_SIDE), NAN)
 """The layer that says nothing; shared by all tiles whose map keeps no evidence."""
 NOWHERE.flags.writeable = False
 NO_CELL: Flags = np.zeros((TILE_SIDE, TILE_SIDE), np.bool_)
 NO_CELL.flags.writeable = False
+_new, _set = object.__new__, object.__setattr__
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,12 +97,24 @@ class Tile:
         return self.settled_low is not NOWHERE
 
 
-def sealed_tile(submap: int, ix: int, iy: int, resolution_m: float, *layers: NDArray[Any]) -> Tile:
+def sealed_tile(
+    submap: int,
+    ix: int,
+    iy: int,
+    resolution_m: float,
+    low: Layer,
+    high: Layer,
+    surely_hit: Flags = NO_CELL,
+    settled_low: Layer = NOWHERE,
+    settled_high: Layer = NOWHERE,
+) -> Tile:
     """The tile of layers that are canonical already and nobody else's: neither checked nor copied."""
-    made = object.__new__(Tile)
-    for name, value in (("submap", submap), ("ix", ix), ("iy", iy), ("resolution_m", resolution_m)):
-        object.__setattr__(made, name, value)
-    _seal(made, *layers)
+    made: Tile = _new(Tile)
+    _set(made, "submap", submap)
+    _set(made, "ix", ix)
+    _set(made, "iy", iy)
+    _set(made, "resolution_m", resolution_m)
+    _seal(made, low, high, surely_hit, settled_low, settled_high)
     return made
 
 
@@ -211,15 +224,25 @@ def _layer(given: Layer) -> Layer:
     return layer
 
 
-def _like(tile: Tile, *layers: NDArray[np.generic]) -> Tile:
+def _like(tile: Tile, *layers: NDArray[Any]) -> Tile:
     """A tile at the place of `tile`, of layers that were made canonical: not checked once more."""
     return sealed_tile(tile.submap, tile.ix, tile.iy, tile.resolution_m, *layers)
 
 
-def _seal(tile: Tile, *layers: NDArray[np.generic]) -> None:
-    for name, layer in zip(("low", "high", "surely_hit", "settled_low", "settled_high"), layers, strict=True):
-        layer.setflags(write=False)
-        object.__setattr__(tile, name, layer)
+def _seal(tile: Tile, low: Layer, high: Layer, surely_hit: Flags, settled_low: Layer, settled_high: Layer) -> None:
+    """Hundreds of times a second, so each step by itself; what many tiles share is read-only already."""
+    low.setflags(write=False)
+    high.setflags(write=False)
+    if surely_hit is not NO_CELL:
+        surely_hit.setflags(write=False)
+    if settled_low is not NOWHERE:
+        settled_low.setflags(write=False)
+        settled_high.setflags(write=False)
+    _set(tile, "low", low)
+    _set(tile, "high", high)
+    _set(tile, "surely_hit", surely_hit)
+    _set(tile, "settled_low", settled_low)
+    _set(tile, "settled_high", settled_high)
 
 
 @compiled
@@ -231,8 +254,8 @@ def _canonical(low: Layer, high: Layer, canonical_low: Layer, canonical_high: La
             a, b = low[row, col], high[row, col]
             unseen = np.isnan(a) and np.isnan(b)
             sound = sound and (unseen or -np.inf < a <= b < np.inf)
-            canonical_low[row, col] = _NAN if unseen else a + _ZERO
-            canonical_high[row, col] = _NAN if unseen else b + _ZERO
+            canonical_low[row, col] = NAN if unseen else a + ZERO
+            canonical_high[row, col] = NAN if unseen else b + ZERO
     return sound
 
 
@@ -259,8 +282,8 @@ def _mark_changed(old_low: Layer, old_high: Layer, new_low: Layer, new_high: Lay
 def _only(cells: Flags, low: Layer, high: Layer, only_low: Layer, only_high: Layer) -> None:
     for row in range(TILE_SIDE):
         for col in range(TILE_SIDE):
-            only_low[row, col] = low[row, col] if cells[row, col] else _NAN
-            only_high[row, col] = high[row, col] if cells[row, col] else _NAN
+            only_low[row, col] = low[row, col] if cells[row, col] else NAN
+            only_high[row, col] = high[row, col] if cells[row, col] else NAN
 
 
 @compiled_into_callers
@@ -272,7 +295,7 @@ def snapped_down(low: np.float32) -> np.float32:
 @compiled_into_callers
 def snapped_up(high: np.float32) -> np.float32:
     """The multiple of SNAP_M at or above, and no negative zero, which ceil gives."""
-    return np.ceil(high * _PER_STEP) * _STEP + _ZERO if abs(high) < _ALL_STEPS_M else high
+    return np.ceil(high * _PER_STEP) * _STEP + ZERO if abs(high) < _ALL_STEPS_M else high
 
 
 @compiled

@@ -20,7 +20,19 @@ from numpy.typing import NDArray
 
 from drivers.compiled import compiled
 from mapper.grid import TILE_CELLS, TILE_SIDE, tile_corner_m
-from mapper.tile import NO_CELL, NOWHERE, Flags, Layer, Tile, snapped_down, snapped_up, unseen_tile
+from mapper.tile import (
+    NAN,
+    NO_CELL,
+    NOWHERE,
+    ZERO,
+    Flags,
+    Layer,
+    Tile,
+    sealed_tile,
+    snapped_down,
+    snapped_up,
+    unseen_tile,
+)
 
 _COMPRESSOR = zstd.ZstdCompressor(level=1)
 """Each call makes a frame of its own."""
@@ -74,7 +86,7 @@ def encode(tile: Tile, frame_id: str, stamp_ns: int, cells: Flags | None = None)
 
 def compile_codec() -> None:
     """Have the machine code made now, so that no message waits for it."""
-    encode(unseen_tile(0, 0, 0, 1.0), "", 0)
+    decode(encode(unseen_tile(0, 0, 0, 1.0), "", 0), 0)
 
 
 @compiled
@@ -140,20 +152,59 @@ def decode(payload: bytes, submap: int) -> ReceivedTile:
         message.ParseFromString(_decompress(payload))
     except DecodeError as error:
         raise TileFormatError(f"no protobuf message: {error}") from error
+    record = _layout(message)
     resolution = message.cell_size.x
-    ix, iy = _check_geometry(message)
-    cells = np.frombuffer(message.data, _layout(message)).reshape(TILE_SIDE, TILE_SIDE)
-    try:
-        tile = Tile(submap, ix, iy, resolution, *_layers(cells))
-    except ValueError as error:
-        raise TileFormatError(str(error)) from error
+    ix, iy = _check_geometry(message, record.itemsize)
+    tile = _plain_tile(submap, ix, iy, resolution, message.data) if record is _PLAIN else None
+    if tile is None:
+        cells = np.frombuffer(message.data, record).reshape(TILE_SIDE, TILE_SIDE)
+        try:
+            tile = Tile(submap, ix, iy, resolution, *_layers(cells))
+        except ValueError as error:
+            raise TileFormatError(str(error)) from error
     return ReceivedTile(tile, message.frame_id, message.timestamp.seconds * _NS + message.timestamp.nanos)
+
+
+def _plain_tile(submap: int, ix: int, iy: int, resolution_m: float, data: bytes) -> Tile | None:
+    """The tile in the bytes of plain records, most of all that come; None where it isn't one, or says nothing."""
+    shape = TILE_SIDE, TILE_SIDE
+    low, high, hit = np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.bool_)
+    seen, hits = _unpack(np.frombuffer(data, np.uint8), _PLAIN.itemsize, low, high, hit)
+    return sealed_tile(submap, ix, iy, resolution_m, low, high, hit if hits else NO_CELL) if seen else None
+
+
+@compiled
+def _unpack(cells: NDArray[np.uint8], stride: int, low: Layer, high: Layer, hit: Flags) -> tuple[int, int]:
+    """Plain records into canonical layers; how many cells are seen and hit, 0 and 0 where one is no cell's record."""
+    seen = hits = 0
+    for row in range(TILE_SIDE):
+        for col in range(TILE_SIDE):
+            start = (row * TILE_SIDE + col) * stride
+            a = b = np.uint32(0)
+            for byte in range(4):
+                a |= np.uint32(cells[start + byte]) << np.uint32(8 * byte)
+                b |= np.uint32(cells[start + 4 + byte]) << np.uint32(8 * byte)
+            least, most, flag = np.uint32(a).view(np.float32), np.uint32(b).view(np.float32), cells[start + 8]
+            if -np.inf < least <= most < np.inf and flag <= 1:
+                low[row, col], high[row, col] = least + ZERO, most + ZERO
+                hit[row, col] = flag == 1
+                seen += 1
+                hits += flag
+            elif least != least and most != most and flag == 0:
+                low[row, col] = high[row, col] = NAN
+                hit[row, col] = False
+            else:
+                return 0, 0
+    return seen, hits
 
 
 def _fields(record: np.dtype[np.void]) -> list[tuple[str, int, int]]:
     """Name, offset and Foxglove's type of each field of a cell."""
     fields: Mapping[str, tuple[Any, ...]] = record.fields or {}
     return [(name, offset, _TYPES[kind]) for name, (kind, offset, *_) in fields.items()]
+
+
+_FIELDS = {record: _fields(record) for record in (_PLAIN, _SETTLED, _BARE)}
 
 
 def _layers(cells: NDArray[np.void]) -> tuple[Layer, Layer, Flags, Layer, Layer]:
@@ -186,9 +237,8 @@ def _decompress(payload: bytes) -> bytes:
     return message
 
 
-def _check_geometry(message: Grid) -> tuple[int, int]:
-    """The tile's indices, if the message is laid out as a tile."""
-    stride = _layout(message).itemsize
+def _check_geometry(message: Grid, stride: int) -> tuple[int, int]:
+    """The tile's indices, if the message is laid out as a tile of records of so many bytes."""
     layout = (message.column_count, message.row_stride, message.cell_stride, len(message.data))
     expected = (TILE_SIDE, TILE_SIDE * stride, stride, TILE_CELLS * stride)
     if layout != expected:
@@ -209,7 +259,7 @@ def _check_geometry(message: Grid) -> tuple[int, int]:
 def _layout(message: Grid) -> np.dtype[np.void]:
     """The record of one cell."""
     fields = [(field.name, field.offset, field.type) for field in message.fields]
-    for record in (_PLAIN, _SETTLED, _BARE):
-        if fields == _fields(record):
+    for record, its_fields in _FIELDS.items():
+        if fields == its_fields:
             return record
     raise TileFormatError(f"fields are {fields}, not {_fields(_PLAIN)} nor {_fields(_SETTLED)} (type 7 is FLOAT32)")

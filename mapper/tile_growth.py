@@ -8,7 +8,6 @@ from drivers.compiled import compiled
 from mapper.grid import TILE_SIDE
 from mapper.tile import (
     NO_CELL,
-    NOWHERE,
     Flags,
     Layer,
     Tile,
@@ -49,7 +48,7 @@ def grown(old: Tile, more: Tile) -> Growth:
     cells_changed, cells_seen = _grow(
         old.low, old.high, old.surely_hit, more.low, more.high, more.surely_hit, low, high, hit, differs
     )
-    new = sealed_tile(*place, low, high, NO_CELL if unhit else hit, NOWHERE, NOWHERE)
+    new = sealed_tile(*place, low, high, NO_CELL if unhit else hit)
     return Growth(new, differs, cells_changed, cells_seen)
 
 

@@ -20,7 +20,7 @@ from zenoh.handlers import RingChannel
 from drivers.errors import LinkError
 from estimator.bounded_pose import Anchor, BoundedPose, Guarantee
 from mapper.tile import Tile, compile_tiles
-from mapper.tile_codec import TileFormatError
+from mapper.tile_codec import TileFormatError, compile_codec
 from service.copied_map import CopiedMap
 from service.map_file import save_tiles
 from service.map_repair import MapRepair, read_tile
@@ -72,6 +72,7 @@ class RemoteMap:
         self._stopping = False
         self._latencies_ns: deque[int] = deque(maxlen=MAX_LATENCIES)
         compile_tiles()
+        compile_codec()
         self._receiver = threading.Thread(target=self._receive, name="remote-map", daemon=True)
         self._repair = MapRepair(self._copy, self._changed, lambda: self.robot, self._take, self.counts)
 

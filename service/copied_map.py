@@ -57,6 +57,8 @@ class CopiedMap:
         self._counts = counts
         self._max_tiles = max_tiles
         self.run = FollowedRun()
+        self._newest_submap = 0
+        """Of the tiles that the followed run has sent."""
         self._crcs: dict[TileId, int] = {}
         self._beams_until_ns: dict[TileId, int | None] = {}
         self._root: tuple[int, int] | None = None
@@ -160,6 +162,7 @@ class CopiedMap:
 
     def _set(self, place: TileId, tile: Tile) -> None:
         self.tiles[place] = tile
+        self._newest_submap = max(self._newest_submap, place.submap)
         self._crcs.pop(place, None)
 
     def _take_guarantee(self, tile: Tile, note: TileNote) -> None:
@@ -167,7 +170,7 @@ class CopiedMap:
         place, until_ns = TileId(tile.submap, tile.ix, tile.iy), note.beams_until_ns
         known = self._beams_until_ns.get(place, until_ns)
         self._beams_until_ns[place] = None if known is None or until_ns is None else max(known, until_ns)
-        if tile.submap >= max((place.submap for place in self.tiles), default=0):
+        if tile.submap >= self._newest_submap:
             self.take_guarantee(guarantee_from(note.guarantee))
 
     def _follows(self, epoch: str, now_ns: int) -> bool:
@@ -183,6 +186,7 @@ class CopiedMap:
     def _begin_anew(self, first: bool) -> None:
         self._counts["epochs"] += 1
         self.tiles.clear()
+        self._newest_submap = 0
         self._crcs.clear()
         self._beams_until_ns.clear()
         self.anchors.clear()

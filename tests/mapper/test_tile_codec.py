@@ -222,3 +222,34 @@ def test_wrong_geometry_is_refused_and_named(change: Callable[[Grid], object], w
     """Each field that must have one value is checked, and the error says what was found."""
     with pytest.raises(TileFormatError, match=words):
         decode(repacked(change), 0)
+
+
+ODD = (0.0, -0.0, 1.0, -1.0, 2.0**-149, 3.4e38, np.inf, -np.inf, np.nan)
+"""Values whose order, sign or being a number is a matter of its own."""
+PATTERNS = [int(np.float32(value).view(np.uint32)) for value in ODD] + [0x7FC00001, 0xFFC00000, 0x7F800001]
+
+
+@given(st.integers(0, 4095), st.sampled_from(PATTERNS), st.sampled_from(PATTERNS), st.sampled_from([0, 1, 2, 255]))
+def test_whatever_stands_in_a_cell_is_taken_or_refused_as_by_the_tile_itself(
+    cell: int, low: int, high: int, flag: int
+) -> None:
+    """Bit for bit: no NaN but one, no negative zero, and no cell that is no interval of finite numbers."""
+
+    def change(message: Grid) -> None:
+        data = bytearray(message.data)
+        struct.pack_into("<IIB", data, 9 * cell, low, high, flag)
+        message.data = bytes(data)
+
+    payload, whole = repacked(change), snap_outward(a_tile())
+    lows, highs, hits = whole.low.copy(), whole.high.copy(), whole.surely_hit.copy()
+    lows.ravel().view(np.uint32)[cell], highs.ravel().view(np.uint32)[cell] = low, high
+    hits.ravel()[cell] = flag == 1
+    try:
+        expected = None if flag > 1 else Tile(whole.submap, whole.ix, whole.iy, whole.resolution_m, lows, highs, hits)
+    except ValueError:
+        expected = None
+    if expected is None:
+        with pytest.raises(TileFormatError):
+            decode(payload, whole.submap)
+    else:
+        assert decode(payload, whole.submap).tile == expected
