@@ -1,15 +1,14 @@
 """The host's end of a SICK LMS2xx: finds it, sets it up, and turns its telegrams into scans. No port, no clock."""
 
 from collections import Counter
-from dataclasses import dataclass
 
 from drivers.config import LaserConfig, latency_ns
 from drivers.samples import Scan
-from drivers.sick_lms.error_memory import ErrorEntry, parse_errors
+from drivers.sick_lms.error_memory import ErrorEntry
 from drivers.sick_lms.expected_scans import ExpectedScans
-from drivers.sick_lms.findings import error_findings, status_findings
+from drivers.sick_lms.findings import status_findings
 from drivers.sick_lms.framing import SILENCE_WITHIN_FRAME_MS, Frame, FrameReader
-from drivers.sick_lms.measurements import CM, DISTANCE_BITS, MM, ValueFormat
+from drivers.sick_lms.judgement import Identity, Judgement
 from drivers.sick_lms.sent_times import SentTimes
 from drivers.sick_lms.startup import (
     MOST_NAKS,
@@ -18,7 +17,6 @@ from drivers.sick_lms.startup import (
     STEPS,
     TRANSITIONS,
     WAITS_MS,
-    Found,
     Outcome,
     State,
     goal_of,
@@ -29,12 +27,6 @@ from drivers.sick_lms.telegrams import (
     RANGES,
     REFUSED,
     RESETTING,
-    SOURCE,
-    Command,
-    Configuration,
-    DeviceStatus,
-    DeviceType,
-    Variant,
     request,
 )
 
@@ -48,45 +40,27 @@ LONGEST_ANSWER = 170
 LEAST_WATCHDOG_MS = 500
 
 
-@dataclass(frozen=True, slots=True)
-class Identity:
-    """Which scanner this is."""
-
-    type: str
-    firmware: str
-    serial: str
-
-
 class SickLmsProtocol:
     """A conversation with one scanner, from wherever it stands to a stream of scans, and back there after any loss."""
 
     def __init__(self, config: LaserConfig) -> None:
         self.counts: Counter[str] = Counter()
-        self.identity: Identity | None = None
-        """Known once the scanner has answered."""
-        self.errors: tuple[ErrorEntry, ...] = ()
-        """What its error memory held when it was found."""
-        self.operating_hours: float | None = None
-        """Where it counts them."""
-        self._write_allowed = config.write_configuration
         self._goal = goal_of(config)
+        self._judgement = Judgement(config, self._goal)
         self._latency_ns = latency_ns(config.latency_ms)
         self._sent_times = SentTimes(config, self.counts)
         self._rates = tuple(dict.fromkeys((config.baud, *RATES)))
         self._baud: int = config.baud
         self._reader = FrameReader(self.counts)
-        self._found = Found(config.baud)
         self._expected: ExpectedScans | None = None  # since the stream was asked for
         self._asked_at = 0  # place in the stream of bytes where that was
         self._outbox = bytearray()
-        self._trouble = ""
         self._state = State.TUNING
         self._deadline_ns = 0
         self._release_ns = 0  # when frames that the reader holds back are due
         self._released: list[Scan] = []
         self._tries = 0
         self._naks = 0
-        self._short_reach_m: float | None = None
         self._acknowledged = False
         self._heard = False  # an intact telegram or an ACK, since the request was sent first
         self._writes = 0
@@ -106,22 +80,31 @@ class SickLmsProtocol:
     def state(self) -> str:
         """Where the conversation stands, for people."""
         if self._state is State.HALTED:
-            return f"halted: {self._trouble}"
+            return f"halted: {self._judgement.trouble}"
         if self._state in (State.TUNING, State.FINDING):
             return f"finding the scanner at {self._baud} baud"
         return str(self._state.value)
 
     @property
+    def identity(self) -> Identity | None:
+        """Known once the scanner has answered."""
+        return self._judgement.identity
+
+    @property
+    def errors(self) -> tuple[ErrorEntry, ...]:
+        """What its error memory held when it was found."""
+        return self._judgement.errors
+
+    @property
+    def operating_hours(self) -> float | None:
+        """Where it counts them."""
+        return self._judgement.operating_hours
+
+    @property
     def findings(self) -> tuple[str, ...]:
         """What ails the scanner, in sentences for people."""
-        found = [*status_findings(self._expected.status if self._expected else 0), *error_findings(self.errors)]
-        if self._found.status is not None and self._found.status.defective:
-            found.append("the scanner says that it is defective")
-        if self._short_reach_m is not None:
-            found.append(
-                f"the scanner's measuring mode reaches {self._short_reach_m:.1f} m, short of range_max_m; "
-                "set write_configuration = true, or range_max_m to that"
-            )
+        status = self._expected.status if self._expected else 0
+        found = [*status_findings(status), *self._judgement.findings]
         if self.counts.get("late_telegrams"):
             found.append(
                 "telegrams are read later than latency_ms allows: raise it, or lower the adapter's latency timer"
@@ -211,13 +194,13 @@ class SickLmsProtocol:
             self.counts["resets"] += 1
             self._go(State.FINDING, now_ns)
         elif step is not None and frame.command == step.answer:
-            self._end(self._judge(frame.payload), now_ns)
+            may_write = self._writes < MOST_WRITES and self._writes_heard < MOST_WRITES_HEARD
+            outcome = self._judgement.of(frame.payload, self._state, may_write)
+            self._reader.source = self._judgement.source
+            self._end(outcome, now_ns)
         elif step is not None and frame.command == REFUSED:
             self.counts["refusals"] += 1
-            self._trouble = f"the scanner refused {self._state.value}"
-            if self._state is State.SETTING_VARIANT:
-                self._trouble += "; an LMS Fast has scan_angle_deg = 90 and resolution_deg = 0.5 alone"
-            self._end(Outcome.REFUSED, now_ns)
+            self._end(self._judgement.refusal(self._state), now_ns)
         else:
             self.counts["stray_answers"] += 1
         return None
@@ -236,61 +219,6 @@ class SickLmsProtocol:
         assert self._expected is not None  # STARTING came before
         return self._expected.scan(frame.payload, self._sent_times.of(frame, self._line_ns(1)))
 
-    def _judge(self, payload: bytes) -> Outcome:
-        """What the awaited answer means."""
-        match payload[0]:
-            case Command.MODE.answer if payload[1] != 0:
-                reason = "the password is wrong" if payload[1] == 1 else "fault in the scanner"
-                self._trouble = f"{self._state.value}: {reason}"
-                return Outcome.REFUSED
-            case Command.TYPE.answer:
-                self._found.kind = kind = DeviceType.parse(payload)
-                self.identity = Identity(kind.model, kind.text.split(";")[-1].strip(), "")
-            case Command.STATUS.answer:
-                self._reader.source = payload[-1] & SOURCE
-                self._found.status = status = DeviceStatus.parse(payload)
-                self.identity = Identity(self.identity.type if self.identity else "", status.firmware, status.serial)
-            case Command.ERRORS.answer:
-                self.errors = parse_errors(payload)
-            case Command.COUNTERS.answer:
-                self.operating_hours = int.from_bytes(payload[1:3], "little") / 2
-            case Command.READ_CONFIGURATION.answer:
-                return self._judge_configuration(Configuration.parse(payload))
-            case Command.WRITE_CONFIGURATION.answer if payload[1] != 1:
-                return Outcome.REFUSED
-            case Command.VARIANT.answer if payload[1] != 1 or Variant.parse(payload) != self._goal.variant:
-                wanted = self._goal.variant
-                self._trouble = (
-                    f"the scanner can't scan {wanted.angle_deg} degrees at {wanted.resolution_cdeg / 100} degree; "
-                    "set scan_angle_deg and resolution_deg to what it can"
-                )
-                return Outcome.REFUSED
-        return Outcome.DONE
-
-    def _judge_configuration(self, found: Configuration) -> Outcome:
-        self._found.configuration = found
-        self._short_reach_m = None
-        wanted = self._goal.configuration(found)
-        if found == wanted:
-            return Outcome.DONE
-        if self._write_allowed and self._writes < MOST_WRITES and self._writes_heard < MOST_WRITES_HEARD:
-            return Outcome.DIFFERS
-        # The declared range error holds for the declared unit only. A shorter reach alone does no harm.
-        if found.unit == wanted.unit and found.measuring_mode in DISTANCE_BITS and not self._goal.interlaced:
-            self._short_reach_m = ValueFormat(DISTANCE_BITS[found.measuring_mode], found.unit).reach_m
-            return Outcome.DONE
-        units = {CM: "cm", MM: "mm"}
-        self._trouble = (
-            f"the scanner measures in {units.get(found.unit, hex(found.unit))}, mode {found.measuring_mode:02X}h, "
-            f"but {units[wanted.unit]}, mode {wanted.measuring_mode:02X}h is needed; "
-            + (
-                "it does not take its new configuration"
-                if self._write_allowed
-                else "set write_configuration = true, or unit to the scanner's"
-            )
-        )
-        return Outcome.REFUSED
-
     # What goes out
 
     def _end(self, outcome: Outcome, now_ns: int) -> None:
@@ -304,16 +232,15 @@ class SickLmsProtocol:
     def _go(self, state: State, now_ns: int) -> None:
         """Enter `state`; a step that is needless leads straight on."""
         lost = state is State.FINDING and self._state not in (State.TUNING, State.FINDING)
-        while (step := STEPS.get(state)) is not None and step.needless(self._goal, self._found):
+        while (step := STEPS.get(state)) is not None and step.needless(self._goal, self._judgement.found):
             state = TRANSITIONS[state][Outcome.NEEDLESS]
         if state is State.TUNING:
             self._set_baud(self._rates[(self._rates.index(self._baud) + 1) % len(self._rates)])
         if state is State.FINDING:
             if lost:
                 self.counts["restarts"] += 1
-            self._found = Found(self._baud)
-            self._reader.scan_headers = None
-            self._reader.source = None
+            self._judgement.begin(self._baud)
+            self._reader.scan_headers = self._reader.source = None
         if state is State.STARTING:
             self._expect_scans()
         self._state = state
@@ -331,7 +258,7 @@ class SickLmsProtocol:
 
     def _send(self, now_ns: int) -> None:
         """The present state's request, once more."""
-        data = request(STEPS[self._state].request(self._goal, self._found))
+        data = request(STEPS[self._state].request(self._goal, self._judgement.found))
         self._outbox[:] = data
         self._tries += 1
         if self._state is State.WRITING_CONFIGURATION:
@@ -348,7 +275,7 @@ class SickLmsProtocol:
 
     def _expect_scans(self) -> None:
         """From here on exactly these scans can be real."""
-        configuration = self._found.configuration
+        configuration = self._judgement.found.configuration
         assert configuration is not None  # no path to STARTING avoids reading it
         self._expected = ExpectedScans(self._goal, configuration, self.counts)
         self._reader.scan_headers = self._expected.headers

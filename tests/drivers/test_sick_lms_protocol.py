@@ -20,7 +20,7 @@ from drivers.sick_lms.protocol import SickLmsProtocol
 from drivers.sick_lms.range_telegrams import RangeTelegram
 from drivers.sick_lms.sent_times import SentTimes
 from drivers.sick_lms.startup import STEPS, TRANSITIONS, WAITS_MS, Outcome, State
-from drivers.sick_lms.telegrams import POWER_ON, VARIANTS, Command, DeviceType, Mode, Variant, answer, request
+from drivers.sick_lms.telegrams import PASSWORD, POWER_ON, VARIANTS, Command, DeviceType, Mode, Variant, answer, request
 from simulator.emulators.sick_lms import FACTORY_RECORD, SickLmsEmulator
 from simulator.line_faults import KINDS, LINES, Fault, damage
 
@@ -301,6 +301,18 @@ def test_another_unit_halts_where_writing_is_forbidden() -> None:
     assert wire.emulator.eeprom_writes == 0
     assert "halted" in wire.protocol.state
     assert "write_configuration = true" in wire.protocol.state
+
+
+def test_a_scanner_with_another_password_halts_with_a_way_out() -> None:
+    """Its configuration can't be written: what is wrong and both ways to mend it are told, and nothing is worn out."""
+    wire = Wire(config=replace(CONFIG, unit="cm", range_max_m=80.0))
+    entry, wrong = (request(bytes((Command.MODE, Mode.INSTALLATION)) + word) for word in (PASSWORD, b"SICK_PLS"))
+    wire.to_scanner = lambda data: wrong if data == entry else data
+    wire.run(8.0, until=lambda: "halted" in wire.protocol.state)
+    for words in ("the password is wrong", "SICK_LMS", "write_configuration = false"):
+        assert words in wire.protocol.state
+    assert wire.emulator.eeprom_writes == 0
+    assert wire.scans == []
 
 
 def test_a_shorter_reach_does_not_halt_where_writing_is_forbidden() -> None:
