@@ -49,6 +49,13 @@ class Ellipsoid(NamedTuple):
     """[n + 4, n] room for what comes between, so that nothing is allocated."""
 
 
+@compiled
+def stored(rows: NDArray[np.float64]) -> Ellipsoid:
+    """The ellipsoid that stands in the rows [2 n + 6, n] of one array: its centre, its shape, its units, its work."""
+    n = rows.shape[1]
+    return Ellipsoid(rows[0], rows[1 : n + 1], rows[n + 1], rows[n + 2 :])
+
+
 def point(centre: NDArray[np.float64], units: NDArray[np.float64]) -> Ellipsoid:
     """{c}, exact."""
     n = len(centre)

@@ -10,27 +10,38 @@ of fixes, which finds it again; the ellipsoid begins anew from them. So the set 
 grows by more than the way that the robot can have come.
 """
 
-from copy import deepcopy
 from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.compiled import compiled
 from drivers.config import EncodersConfig
 from drivers.samples import WheelTicks
-from estimator.attitude import EARTH_YAW, MAP_YAW, AttitudeChain
+from estimator.attitude import AttitudeChain
 from estimator.bounded_pose import PlanarEllipsoid
 from estimator.config import FilterConfig, RobotConfig
-from estimator.ellipsoid import image
+from estimator.ellipsoid import image, stored
 from estimator.gps_window import GpsWindow
 from estimator.inconsistency import Journal
 from estimator.interval import Interval, meet, mid, reach, sub, up, widen
-from estimator.motion import aged_bias, relative_yaw
-from estimator.planar_set import WIDEST_YAW, PlanarSet, advance, correct, show
-from estimator.position import EARTH, MAP, PositionChain, Step
+from estimator.motion import relative_yaw
+from estimator.planar_set import (
+    BOTH_SHOWN,
+    CONTRADICTED,
+    FRAMES,
+    PLACES,
+    TOO_WIDE,
+    UNTOLD,
+    WIDEST_YAW,
+    YAWS,
+    PlanarSets,
+    correct,
+    node_of,
+    planar_step,
+    show_all,
+)
+from estimator.position import PositionChain, Step
 from estimator.slip_ledger import SlipLedger
-from estimator.tube import first_not_before
 
 
 class NewestFixOnly(GpsWindow):
@@ -114,7 +125,9 @@ class EllipsoidalPosition(PositionChain):
         super().__init__(robot, config, encoders, attitude, journal)
         self._witness = None if config.wrong_fixes else Witness(attitude.gyro.bias_drift, self.ledger)
         self.window = self._witness or self.window
-        self.sets = (PlanarSet(MAP.start, MAP_YAW), PlanarSet(EARTH.start, EARTH_YAW))
+        self.sets = PlanarSets()
+        self._bounds = tuple(self.tracks)
+        self._undone = np.zeros_like(self._pending)
 
     def begin(self, ticks: WheelTicks) -> bool:
         """Here x = y = z = yaw = 0; False if the attitude chain doesn't reach back so far."""
@@ -127,52 +140,46 @@ class EllipsoidalPosition(PositionChain):
 
     def predict(self, ticks: WheelTicks) -> Step:
         """travel, with boxes and with ellipsoids: one node further, at the true time of this encoder reading."""
-        turned_until, first, undone = self._turned_until, self._fresh_count, self._pending.copy()
-        began_ns = int(self.tube.times[self.tube.newest, 0])
+        sets, places, attitude, turns = self.sets, self.tube, self._attitude, self._attitude.tube
+        turned_until, fresh_count = self._turned_until, self._fresh_count
+        self._undone[:] = self._pending
         step = super().predict(ticks)
-        turns, attitude, here = self._attitude.tube, self._attitude, self.tube.newest
-        known, before, start, after, bias, aged = turned_over(
-            turns.times, turns.heading, turns.effort, turns.begin, turns.end, began_ns, turned_until,
-            self._turned_until, step.before, step.after, attitude.bias, attitude.gyro.bias_drift,
+        outcomes, after, bias = planar_step(
+            sets.rows, sets.kept, sets.known, sets.fresh, fresh_count, *step, self._bounds, turned_until,
+            self._turned_until, turns.times, turns.box, turns.swing, turns.heading, turns.effort, turns.begin,
+            turns.end, attitude.bias, attitude.gyro.bias_drift, places.times, places.box, places.newest, self._core,
+            self._pending,
         )  # fmt: skip
-        for one in self.sets:
-            if one.set is None:
-                continue
-            if not known:
-                self._let_go(one, undone + self._pending)
-                continue
-            sound, shown = advance(
-                one.set, one.kept, turns.heading, turns.swing, before, start, after, bias, aged, step.attitude,
-                step.left, step.right, step.counted, step.time_high, step.turning, step.telescoped, tuple(self.tracks),
-                first or one.first, one.place, one.yaw, self._core, self._pending, self.tube.box[here], turns.box,
-                turns.newest,
-            )  # fmt: skip
-            if not sound:
-                self._journal.report("gyro", ticks.stamp.mid_ns, inf, "rad/s")
-            if not shown:
-                self._too_wide(one)
-            one.first = False
-        self._begin_sets(after, bias)
+        if outcomes != BOTH_SHOWN:
+            self._look_after(outcomes, ticks)
+            self._begin_sets(after, bias)
         return step
+
+    def _look_after(self, outcomes: tuple[int, int], ticks: WheelTicks) -> None:
+        """Ellipsoids that don't go on, or contradict the gyroscope."""
+        undone = self._undone + self._pending
+        for frame, outcome in zip(FRAMES, outcomes, strict=True):
+            if outcome & UNTOLD:
+                self._let_go(frame, undone)
+            if outcome & CONTRADICTED:
+                self._journal.report("gyro", ticks.stamp.mid_ns, inf, "rad/s")
+            if outcome & TOO_WIDE:
+                self._too_wide(frame)
 
     def contract(self, narrowed: NDArray[np.float64], yaws: NDArray[np.float64]) -> bool:
         """The newest place is in narrowed [6, 2], the newest yaws in [2, 2]; False, and all stays, if that can't be."""
-        turns, after = self._attitude.tube, self._gyro_node()
+        sets, turns, after = self.sets, self._attitude.tube, self._gyro_node()
         if after is None:
-            for one in self.sets:
-                if one.set is not None:
-                    self._let_go(one, self._pending.copy())
+            for frame in FRAMES:
+                if sets.known[frame]:
+                    self._let_go(frame, self._pending.copy())
             return super().contract(narrowed, yaws)
         bias = self._attitude.bias_since(after)
-        core = self._foreseen(narrowed)
         ahead = relative_yaw(turns.heading[turns.newest], turns.heading[after], bias)
-        before = [None if one.set is None else (one.set.centre.copy(), one.set.shape.copy()) for one in self.sets]
-        for one in self.sets:
-            if one.set is not None and not correct(one.set, core[one.place :], sub(yaws[one.yaw - MAP_YAW], ahead)):
-                for each, kept in zip(self.sets, before, strict=True):
-                    if each.set is not None and kept is not None:
-                        each.set.centre[:], each.set.shape[:] = kept
-                return False
+        before = sets.rows.copy()
+        if not correct(sets.rows, sets.known, self._foreseen(narrowed), yaws, ahead):
+            sets.rows[:] = before
+            return False
         super().contract(narrowed, yaws)
         self._begin_sets(after, bias)
         self._show(after, bias)
@@ -182,8 +189,8 @@ class EllipsoidalPosition(PositionChain):
 
     def ellipsoid(self, on_earth: bool) -> PlanarEllipsoid | None:
         """At the newest reading: what is still to come after it, and the yaw's change since, are undone."""
-        one, turns, here = self.sets[int(on_earth)], self._attitude.tube, self.tube.newest
-        if one.set is None:
+        frame, turns, here = int(on_earth), self._attitude.tube, self.tube.newest
+        if not self.sets.known[frame]:
             return None
         earliest_ns, latest_ns = (int(time) for time in self.tube.times[here])
         around, node = turns.before(earliest_ns), self._gyro_node()
@@ -191,22 +198,21 @@ class EllipsoidalPosition(PositionChain):
             return None
         turned = self._attitude.yaw_between(around, max(around, node), node)
         back = mid(turned)
-        e = deepcopy(one.set)
-        rest = np.array([*one.kept[8:], reach(turned, back), 0.0])
+        e = stored(self.sets.rows[frame].copy())
+        rest = np.array([*self.sets.kept[frame, 8:], reach(turned, back), 0.0])
         image(e, np.eye(4), np.array([0.0, 0.0, back, 0.0]), np.zeros((4, 0)), rest)
         return PlanarEllipsoid(earliest_ns, latest_ns, e.centre[:3].copy(), e.shape[:3, :3].copy())
 
     def join(self, other: PositionChain) -> None:
         """Grow to the hull of both chains; the ellipsoids begin anew from the boxes."""
         super().join(other)
-        for one in self.sets:
-            one.set = None
+        self.sets.known[:] = False
 
     def remember(self) -> None:
         """As PositionChain's. While yaw is lost to the ellipsoids, the window finds it again."""
         super().remember()
         if self._witness is not None:
-            self._witness.alone = any(one.set is None for one in self.sets)
+            self._witness.alone = not self.sets.known.all()
 
     def _gyro_node(self) -> int | None:
         """Index of the node at which the ellipsoids' yaw stands, the first one after the newest reading.
@@ -219,7 +225,7 @@ class EllipsoidalPosition(PositionChain):
 
     def _begin_sets(self, node: int, bias: Interval) -> None:
         """Ellipsoids around the boxes, where there are none and yaw is known; the count's error begins anew."""
-        if self.sets[0].set is not None and self.sets[1].set is not None:
+        if self.sets.known.all():
             return
         turns, here = self._attitude.tube, self.tube.newest
         around = turns.before(int(self.tube.times[here, 0]))
@@ -227,11 +233,12 @@ class EllipsoidalPosition(PositionChain):
             return
         slack = self.turned_around(around)
         ahead = relative_yaw(turns.heading[turns.newest], turns.heading[node], bias)
-        for one in self.sets:
-            yaw, newest = turns.box[node, one.yaw], turns.box[turns.newest, one.yaw]
-            if one.set is None and newest[1] - newest[0] < 2.0 * WIDEST_YAW:
-                x, y = self.tube.box[here, one.place], self.tube.box[here, one.place + 1]
-                one.begin(
+        for frame in FRAMES:
+            yaw, newest = turns.box[node, YAWS[frame]], turns.box[turns.newest, YAWS[frame]]
+            if not self.sets.known[frame] and newest[1] - newest[0] < 2.0 * WIDEST_YAW:
+                x, y = self.tube.box[here, PLACES[frame] : PLACES[frame] + 2]
+                self.sets.begin(
+                    frame,
                     widen((x[0], x[1]), slack),
                     widen((y[0], y[1]), slack),
                     meet((yaw[0], yaw[1]), sub((newest[0], newest[1]), ahead)),
@@ -240,63 +247,25 @@ class EllipsoidalPosition(PositionChain):
 
     def _show(self, node: int, bias: Interval) -> None:
         """The ellipsoids' boxes are the chains'. One whose yaw got too wide is let go."""
-        turns, here = self._attitude.tube, self.tube.newest
-        for one in self.sets:
-            if one.set is not None and not show(
-                one.set, one.kept, one.place, one.yaw, self._core, self._pending, self.tube.box[here], turns.box,
-                turns.heading, node, turns.newest, bias,
-            ):  # fmt: skip
-                self._too_wide(one)
+        sets, turns, here = self.sets, self._attitude.tube, self.tube.box[self.tube.newest]
+        shown = show_all(
+            sets.rows, sets.kept, sets.known, here, self._core, self._pending, turns.box, turns.heading, node,
+            turns.newest, bias,
+        )  # fmt: skip
+        for frame in FRAMES:
+            if not shown[frame]:
+                self._too_wide(frame)
 
-    def _too_wide(self, one: PlanarSet) -> None:
+    def _too_wide(self, frame: int) -> None:
         """Nothing linear can be said of its yaw any more."""
         self._journal.counts["ellipsoid_let_go"] += 1
-        self._let_go(one, self._pending.copy())
+        self._let_go(frame, self._pending.copy())
 
-    def _let_go(self, one: PlanarSet, undone: NDArray[np.float64]) -> None:
+    def _let_go(self, frame: int, undone: NDArray[np.float64]) -> None:
         """The boxes go on from here, the count's error anew. The newest place is within `undone` of the core."""
-        one.set = None
-        for row in (one.place, one.place + 1):
+        self.sets.known[frame] = False
+        for row in (PLACES[frame], PLACES[frame] + 1):
             self._pending[row] = up(self.quantum * abs(self._axis[row]))
             core = self._core[row]
             self._core[row] = widen((core[0], core[1]), up(up(undone[row]) + self._pending[row]))
             self.tube.box[self.tube.newest, row] = self._core[row]
-
-
-@compiled
-def node_of(effort: NDArray[np.int64], begin: int, end: int, turned_until: int) -> int:
-    """The gyro node in [begin, end) with that effort of ω_z; before `begin` if there is none. They rise as times do."""
-    node = first_not_before(effort[:, 2:], begin, end, turned_until)
-    return node if node < end and effort[node, 2] == turned_until else begin - 1
-
-
-@compiled
-def turned_over(
-    times: NDArray[np.int64],
-    headings: NDArray[np.float64],
-    effort: NDArray[np.int64],
-    begin: int,
-    end: int,
-    began_ns: int,
-    turned_until: int,
-    turned_until_now: int,
-    a: int,
-    b: int,
-    biases: NDArray[np.float64],
-    drift: float,
-) -> tuple[bool, int, int, int, Interval, float]:
-    """Of a step that began at `began_ns`, inside gyro nodes a and b: is its turning known; nodes before, start, after.
-
-    Yaw turned from node `start` to node `after`; during the step the bias of ω_z was in an interval, and drifted by up
-    to the last number.
-    """
-    start = node_of(effort, begin, end, turned_until)
-    known = start >= begin and times[a, 1] <= began_ns
-    if start < begin:
-        start = b
-    before = min(a, start)
-    after = b if effort[b, 2] == turned_until_now else start
-    seconds = up((times[after, 1] - times[start, 0]) * 1e-9)
-    bias = aged_bias((biases[2, 0], biases[2, 1]), drift, times[before, 0], times[end - 1, 1])
-    known = known and headings[after, 2] - headings[before, 2] < WIDEST_YAW
-    return known, before, start, after, bias, up(drift * seconds)
