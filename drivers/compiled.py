@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.extending import register_jitable
 
 from drivers.code_cache import kept_on_disk
 
@@ -36,9 +37,21 @@ def compiled_without_heap(function: F) -> F:
     return cast(F, kept_on_disk(numba.njit(nogil=True, error_model="numpy", **_BARE)(function)))
 
 
+def compiled_bare(function: F) -> F:
+    """The same for a step of a few microseconds, which keeps the lock: Python hands an array over in two thirds of the
+    time. None may return an array to Python, which would get another one.
+    """
+    return cast(F, kept_on_disk(numba.njit(error_model="numpy", **_BARE)(function)))
+
+
 def compiled_into_callers(function: F) -> F:
     """The same for a small step of a hot path: its machine code becomes part of each caller's."""
     return cast(F, kept_on_disk(numba.njit(forceinline=True, error_model="numpy", **_BARE)(function)))
+
+
+def plain_or_compiled(function: F) -> F:
+    """Plain Python to Python, a part of the machine code of compiled callers: for what gives parts of an array."""
+    return register_jitable(error_model="numpy", **_BARE)(function)
 
 
 def only_as_compiled(function: Callable[..., Any]) -> None:

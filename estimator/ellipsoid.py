@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.compiled import compiled
+from drivers.compiled import compiled_bare, plain_or_compiled
 from estimator.interval import Interval, down, is_empty, meet, mid, mig, outward, reach, up
 
 SLACK = 2.0**-42
@@ -46,12 +46,12 @@ class Ellipsoid(NamedTuple):
     units: NDArray[np.float64]
     """[n] > 0, what counts as one in each coordinate wherever the sum of squared half-widths is made least."""
     work: NDArray[np.float64]
-    """[n + 4, n] room for what comes between, so that nothing is allocated."""
+    """[2 n + 8, n] room for what comes between, so that nothing is allocated; the last n + 4 are `nothing_yet`'s."""
 
 
-@compiled
+@plain_or_compiled
 def stored(rows: NDArray[np.float64]) -> Ellipsoid:
-    """The ellipsoid that stands in the rows [2 n + 6, n] of one array: its centre, its shape, its units, its work."""
+    """The ellipsoid that stands in the rows [3 n + 10, n] of one array: its centre, its shape, its units, its work."""
     n = rows.shape[1]
     return Ellipsoid(rows[0], rows[1 : n + 1], rows[n + 1], rows[n + 2 :])
 
@@ -59,9 +59,9 @@ def stored(rows: NDArray[np.float64]) -> Ellipsoid:
 def point(centre: NDArray[np.float64], units: NDArray[np.float64]) -> Ellipsoid:
     """{c}, exact."""
     n = len(centre)
-    return Ellipsoid(
-        np.array(centre, dtype=np.float64), np.zeros((n, n)), np.array(units, dtype=np.float64), np.zeros((n + 4, n))
-    )
+    e = stored(np.zeros((3 * n + 10, n)))
+    e.centre[:], e.units[:] = centre, units
+    return e
 
 
 def box(centre: NDArray[np.float64], half_widths: NDArray[np.float64], units: NDArray[np.float64]) -> Ellipsoid:
@@ -74,20 +74,20 @@ def box(centre: NDArray[np.float64], half_widths: NDArray[np.float64], units: ND
     return e
 
 
-@compiled
+@compiled_bare
 def half_width(e: Ellipsoid, i: int) -> float:
     """h_i = sqrt(P_ii), exact: |x_i - c_i| <= h_i."""
     return up(sqrt(max(e.shape[i, i], 0.0)))
 
 
-@compiled
+@compiled_bare
 def extent(e: Ellipsoid, i: int) -> Interval:
     """Coordinate i of the outer box, [c_i - h_i, c_i + h_i], exact."""
     h = half_width(e, i)
     return outward(e.centre[i] - h, e.centre[i] + h)
 
 
-@compiled
+@compiled_bare
 def plus(e: Ellipsoid, columns: NDArray[np.float64], half_widths: NDArray[np.float64]) -> None:
     """E ⊕ {Σ g_j ξ_j : |ξ_j| <= 1} ⊕ [-h, h], outer: the Minkowski sum with segments g_j and a box.
 
@@ -123,7 +123,20 @@ def plus(e: Ellipsoid, columns: NDArray[np.float64], half_widths: NDArray[np.flo
             e.shape[k, i] = e.shape[i, k]
 
 
-@compiled
+@plain_or_compiled
+def nothing_yet(
+    e: Ellipsoid,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """A = 1, v = 0, two segments and a box of no length: for a step to write into and `image` to read; in E's room."""
+    n = len(e.centre)
+    room = e.work[n + 4 :]
+    room[:] = 0.0
+    for i in range(n):
+        room[i, i] = 1.0
+    return room[:n], room[n], room[n + 2 :].reshape((n, 2)), room[n + 1]
+
+
+@compiled_bare
 def image(
     e: Ellipsoid,
     matrix: NDArray[np.float64],
@@ -139,14 +152,17 @@ def image(
     moved = e.work[n]
     rest = e.work[n + 1]
     size = e.work[n + 2]
+    size[:] = 0.0
+    for k in range(n):
+        h = half_width(e, k)
+        for i in range(n):
+            size[i] += abs(matrix[i, k]) * h
     for i in range(n):
         total = shift[i]
         terms = abs(shift[i])
-        size[i] = 0.0
         for k in range(n):
             total += matrix[i, k] * e.centre[k]
             terms += abs(matrix[i, k] * e.centre[k])
-            size[i] += abs(matrix[i, k]) * half_width(e, k)
             product = 0.0
             for m in range(n):
                 product += matrix[i, m] * e.shape[m, k]
@@ -165,7 +181,7 @@ def image(
     plus(e, columns, rest)
 
 
-@compiled
+@compiled_bare
 def meet_strip(e: Ellipsoid, normal: NDArray[np.float64], low: float, high: float) -> int:
     """E ∩ {x : low <= hᵀx <= high}, outer: EMPTY (E stays), UNCUT (E stays: the strip says nothing new), or CUT.
 
@@ -247,7 +263,7 @@ def meet_strip(e: Ellipsoid, normal: NDArray[np.float64], low: float, high: floa
     return CUT
 
 
-@compiled
+@compiled_bare
 def meet_axis(e: Ellipsoid, i: int, low: float, high: float) -> int:
     """E ∩ {x : low <= x_i <= high}, outer; as `meet_strip`."""
     normal = e.work[3]
@@ -256,7 +272,7 @@ def meet_axis(e: Ellipsoid, i: int, low: float, high: float) -> int:
     return meet_strip(e, normal, low, high)
 
 
-@compiled
+@compiled_bare
 def least_trace(trace: float, cut: float, delta: float, r: float) -> float:
     """The t = 1 - λ g in (0, 1] for which the trace of P⁺ in `meet_strip` is least; 1: better not cut.
 
@@ -285,7 +301,7 @@ def least_trace(trace: float, cut: float, delta: float, r: float) -> float:
     return max(t, THINNEST)
 
 
-@compiled
+@compiled_bare
 def _trace_root(e: Ellipsoid) -> float:
     """sqrt(tr P), in units."""
     total = 0.0
@@ -294,7 +310,7 @@ def _trace_root(e: Ellipsoid) -> float:
     return sqrt(total)
 
 
-@compiled
+@compiled_bare
 def _length(e: Ellipsoid, columns: NDArray[np.float64], j: int) -> float:
     """|g_j|, in units."""
     total = 0.0

@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.compiled import compiled
-from estimator.ellipsoid import Ellipsoid, half_width, image
-from estimator.frames import columns as axes_of
+from drivers.compiled import compiled_bare
+from estimator.ellipsoid import Ellipsoid, half_width, image, nothing_yet
+from estimator.frames import Tilt, columns_at
 from estimator.interval import (
     ULP,
     Interval,
@@ -65,15 +65,15 @@ def memory() -> NDArray[np.float64]:
     return np.zeros(10)
 
 
-@compiled
+@compiled_bare
 def forward(
-    roughly: float, away: Interval, half: float, pitch: Interval, slopes: NDArray[np.float64]
-) -> tuple[Interval, Interval]:
-    """r(t) - a δ for x and y: r the forward axis at any yaw = c + δ + s with |δ| <= half and c + s in roughly + [away].
+    roughly: float, away: Interval, half: float, ct: Interval
+) -> tuple[tuple[Interval, Interval], tuple[float, float]]:
+    """r(t) - a δ, and a, for x and y: r is the forward axis at any yaw = c + δ + s and any pitch with cosine in [ct],
 
-    Writes a [2]. Taylor's formula with Lagrange's remainder, met with the natural enclosure, better for a wide yaw.
+    |δ| <= half, c + s in roughly + [away]. Taylor's formula with Lagrange's remainder, met with the natural enclosure,
+    which is better for a wide yaw.
     """
-    ct = cosine(pitch)
     most = up(half + mag(away))
     s0, c0 = sine((roughly, roughly)), cosine((roughly, roughly))
     around = widen((roughly, roughly), most)
@@ -82,14 +82,13 @@ def forward(
     values = (mul(ct, c0), mul(ct, s0))
     along = (mul(ct, (-s0[1], -s0[0])), mul(ct, c0))
     naturally = (mul(ct, c_all), mul(ct, s_all))
-    slopes[0] = mid(along[0])
-    slopes[1] = mid(along[1])
+    slopes = mid(along[0]), mid(along[1])
     rx = _rest(values[0], along[0], naturally[0], slopes[0], away, half, square)
     ry = _rest(values[1], along[1], naturally[1], slopes[1], away, half, square)
-    return rx, ry
+    return (rx, ry), slopes
 
 
-@compiled
+@compiled_bare
 def _rest(
     value: Interval, along: Interval, naturally: Interval, slope: float, away: Interval, half: float, square: Interval
 ) -> Interval:
@@ -100,19 +99,18 @@ def _rest(
     return meet(taylor, sub(naturally, scale(slope, turned)))
 
 
-@compiled
+@compiled_bare
 def travel_ellipsoid(
     e: Ellipsoid,
     heading: HeadingStep,
     tracked: Tracked,
     sideways: float,
     normal: float,
-    roll: Interval,
-    pitch: Interval,
+    tilt: Tilt,
     first: bool,
     kept: NDArray[np.float64],
 ) -> None:
-    """E a step further, outer: `roll` and `pitch` hold over the step, `first` as in `tracks.travel`.
+    """E a step further, outer: `tilt` (frames.tilted) holds over the step, `first` as in `tracks.travel`.
 
     sideways, normal: integrals of |lateral speed| and of |normal speed|.
 
@@ -124,19 +122,14 @@ def travel_ellipsoid(
     centre = e.centre[YAW]
     roughly = centre + mid(heading.inside)
     away = add(heading.inside, outward(centre - roughly, centre - roughly))
-    slopes = np.empty(2)
-    axes = forward(roughly, away, half, pitch, slopes)
-    around = widen(add((roughly, roughly), away), half)
-    _, left, upward = axes_of((roll, pitch, around))
+    axes, slopes = forward(roughly, away, half, tilt[3])
+    _, left, upward = columns_at(tilt, widen(add((roughly, roughly), away), half))
     d = mid(tracked.distance)
     unsure = reach(tracked.distance, d)
     wandered = sub((kept[6], kept[7]), outward(centre - kept[4], centre - kept[4]))
     q = tracked.quantum if tracked.counted else 0.0
 
-    matrix = np.eye(4)
-    shift = np.zeros(4)
-    columns = np.zeros((4, 2))
-    rest = np.zeros(4)
+    matrix, shift, columns, rest = nothing_yet(e)
     for i in range(2):
         k = mid(axes[i])
         a = slopes[i]

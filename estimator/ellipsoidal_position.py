@@ -26,7 +26,7 @@ from estimator.inconsistency import Journal
 from estimator.interval import Interval, meet, mid, reach, sub, up, widen
 from estimator.motion import relative_yaw
 from estimator.planar_set import (
-    BOTH_SHOWN,
+    BITS,
     CONTRADICTED,
     FRAMES,
     PLACES,
@@ -150,15 +150,16 @@ class EllipsoidalPosition(PositionChain):
             turns.end, attitude.bias, attitude.gyro.bias_drift, places.times, places.box, places.newest, self._core,
             self._pending,
         )  # fmt: skip
-        if outcomes != BOTH_SHOWN:
+        if outcomes:
             self._look_after(outcomes, ticks)
             self._begin_sets(after, bias)
         return step
 
-    def _look_after(self, outcomes: tuple[int, int], ticks: WheelTicks) -> None:
+    def _look_after(self, outcomes: int, ticks: WheelTicks) -> None:
         """Ellipsoids that don't go on, or contradict the gyroscope."""
         undone = self._undone + self._pending
-        for frame, outcome in zip(FRAMES, outcomes, strict=True):
+        for frame in FRAMES:
+            outcome = outcomes >> (BITS * frame)
             if outcome & UNTOLD:
                 self._let_go(frame, undone)
             if outcome & CONTRADICTED:
@@ -248,12 +249,12 @@ class EllipsoidalPosition(PositionChain):
     def _show(self, node: int, bias: Interval) -> None:
         """The ellipsoids' boxes are the chains'. One whose yaw got too wide is let go."""
         sets, turns, here = self.sets, self._attitude.tube, self.tube.box[self.tube.newest]
-        shown = show_all(
+        outcomes = show_all(
             sets.rows, sets.kept, sets.known, here, self._core, self._pending, turns.box, turns.heading, node,
             turns.newest, bias,
         )  # fmt: skip
         for frame in FRAMES:
-            if not shown[frame]:
+            if outcomes >> (BITS * frame) & TOO_WIDE:
                 self._too_wide(frame)
 
     def _too_wide(self, frame: int) -> None:

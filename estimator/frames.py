@@ -23,6 +23,8 @@ from estimator.interval import (
 
 Box3: TypeAlias = tuple[Interval, Interval, Interval]
 """Three intervals: of a vector, or of (roll, pitch, yaw)."""
+Tilt: TypeAlias = tuple[Interval, Interval, Interval, Interval, Interval, Interval]
+"""sφ, cφ, sθ, cθ, sθ sφ, sθ cφ."""
 
 
 @compiled
@@ -31,10 +33,22 @@ def columns(attitude: Box3) -> tuple[Box3, Box3, Box3]:
 
     left (cψ sθ sφ - sψ cφ, sψ sθ sφ + cψ cφ, cθ sφ), up (cψ sθ cφ + sψ sφ, sψ sθ cφ - cψ sφ, cθ cφ).
     """
-    sf, cf = sine(attitude[0]), cosine(attitude[0])
-    st, ct = sine(attitude[1]), cosine(attitude[1])
-    sp, cp = sine(attitude[2]), cosine(attitude[2])
-    stsf, stcf = mul(st, sf), mul(st, cf)
+    return columns_at(tilted(attitude[0], attitude[1]), attitude[2])
+
+
+@compiled
+def tilted(roll: Interval, pitch: Interval) -> Tilt:
+    """What the same roll and pitch have in common, whatever the yaw: for `columns_at`."""
+    sf, cf = sine(roll), cosine(roll)
+    st, ct = sine(pitch), cosine(pitch)
+    return sf, cf, st, ct, mul(st, sf), mul(st, cf)
+
+
+@compiled
+def columns_at(tilt: Tilt, yaw: Interval) -> tuple[Box3, Box3, Box3]:
+    """`columns` with that yaw."""
+    sf, cf, st, ct, stsf, stcf = tilt
+    sp, cp = sine(yaw), cosine(yaw)
     return (
         (mul(cp, ct), mul(sp, ct), neg(st)),
         (sub(mul(cp, stsf), mul(sp, cf)), add(mul(sp, stsf), mul(cp, cf)), mul(ct, sf)),

@@ -6,10 +6,11 @@ They stand in plain arrays, and each step is one call of machine code for both (
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.compiled import compiled
+from drivers.compiled import compiled_bare
 from estimator.attitude import EARTH_YAW, MAP_YAW
 from estimator.ellipsoid import EMPTY, Ellipsoid, box, extent, half_width, meet_axis, stored
 from estimator.ellipsoidal_motion import BIAS, UNITS, YAW, HeadingStep, X, Y, memory, travel_ellipsoid
+from estimator.frames import tilted
 from estimator.interval import ULP, Interval, add, mid, reach, sub, up, widen
 from estimator.motion import TrackBounds, aged_bias, relative_yaw, relative_yaw_between
 from estimator.position import ANYWHERE_M, EARTH, MAP
@@ -23,18 +24,18 @@ PLACES, YAWS = (MAP.start, EARTH.start), (MAP_YAW, EARTH_YAW)
 WIDEST_YAW = 1.0
 """rad: beyond this half-width there is no ellipsoid."""
 
-SHOWN, ABSENT, UNTOLD, TOO_WIDE, CONTRADICTED = 0, 1, 2, 4, 8
-"""What became of an ellipsoid in a step: its box is the chain's; there was none; how far the robot turned isn't known,
-it stands where it did; (shown, but) its yaw is too wide; (and) its bias can't be where the box of it is."""
-BOTH_SHOWN = SHOWN, SHOWN
+ABSENT, UNTOLD, TOO_WIDE, CONTRADICTED = 1, 2, 4, 8
+"""What became of an ellipsoid in a step, if it is not just a step further and shown: there was none; how far the robot
+turned isn't known, and it stands where it did; its yaw is too wide; its bias can't be where the gyroscope's is."""
+BITS = 4
 
 
 class PlanarSets:
     """An ellipsoid in the map and one on Earth, where there is one."""
 
     def __init__(self) -> None:
-        self.rows = np.zeros((2, 2 * len(UNITS) + 6, len(UNITS)))
-        """[2, 14, 4] see ellipsoid.stored."""
+        self.rows = np.zeros((2, 3 * len(UNITS) + 10, len(UNITS)))
+        """[2, 22, 4] see ellipsoid.stored."""
         self.kept = np.zeros((2, len(memory())))
         """[2, 10] see ellipsoidal_motion.memory."""
         self.known = np.zeros(2, dtype=np.bool_)
@@ -54,7 +55,7 @@ class PlanarSets:
             self.kept[frame], self.fresh[frame] = memory(), True
 
 
-@compiled
+@compiled_bare
 def planar_step(
     rows: NDArray[np.float64],
     kept: NDArray[np.float64],
@@ -87,14 +88,14 @@ def planar_step(
     here: int,
     core: NDArray[np.float64],
     pending: NDArray[np.float64],
-) -> tuple[tuple[int, int], int, Interval]:
+) -> tuple[int, int, Interval]:
     """Both ellipsoids a step further, up to the place node `here`, their yaw to the gyro node after it, and shown.
 
     rows to fresh: of PlanarSets. before to telescoped: of the Step; `fresh_count`: it starts from a count whose error
     is zero by definition. `bounds`: TrackBounds, as a plain tuple. The gyro nodes after the reading before and after
     this one are those with efforts turned_until, turned_until_now. times to end: the gyro nodes; biases [3, 2].
 
-    Returns: what became of each; the gyro node after the reading; the bias of ω_z during the step.
+    Returns: what became of them, BITS for each; the gyro node after the reading; the bias of ω_z during the step.
     """
     told, before, start, after, bias, aged = turned_over(
         times, headings, effort, begin, end, place_times[here - 1, 0], turned_until, turned_until_now, before, after,
@@ -103,24 +104,24 @@ def planar_step(
     tracks = TrackBounds(*bounds)
     way = tracked(left, right, counted, turning, time_high, tracks)
     heading = turned_so(headings, swing, before, start, after, bias, aged)
+    tilt = tilted((attitude[0, 0], attitude[0, 1]), (attitude[1, 0], attitude[1, 1]))
     sideways = up(up(tracks.lateral * way.path) + up(tracks.turning_centre * telescoped))
-    roll, pitch = (attitude[0, 0], attitude[0, 1]), (attitude[1, 0], attitude[1, 1])
-    outcomes = np.empty(2, np.int64)
+    outcomes = 0
     for frame in range(2):
-        if not (known[frame] and told):
-            outcomes[frame] = UNTOLD if known[frame] else ABSENT
-            continue
-        e = stored(rows[frame])
-        first = fresh_count or fresh[frame]
-        travel_ellipsoid(e, heading, way, sideways, up(tracks.normal * way.path), roll, pitch, first, kept[frame])
-        fresh[frame] = False
-        sound = meet_axis(e, BIAS, bias[0], bias[1]) != EMPTY
-        shown = show(e, kept[frame], frame, places[here], core, pending, turns, headings, after, end - 1, bias)
-        outcomes[frame] = (SHOWN if shown else TOO_WIDE) | (SHOWN if sound else CONTRADICTED)
-    return (outcomes[0], outcomes[1]), after, bias
+        if known[frame] and told:
+            e, first = stored(rows[frame]), fresh_count or fresh[frame]
+            travel_ellipsoid(e, heading, way, sideways, up(tracks.normal * way.path), tilt, first, kept[frame])
+            fresh[frame] = False
+            sound = meet_axis(e, BIAS, bias[0], bias[1]) != EMPTY
+            shown = show(e, kept[frame], frame, places[here], core, pending, turns, headings, after, end - 1, bias)
+            outcome = (0 if shown else TOO_WIDE) | (0 if sound else CONTRADICTED)
+        else:
+            outcome = UNTOLD if known[frame] else ABSENT
+        outcomes |= outcome << (BITS * frame)
+    return outcomes, after, bias
 
 
-@compiled
+@compiled_bare
 def turned_over(
     times: NDArray[np.int64],
     headings: NDArray[np.float64],
@@ -152,14 +153,14 @@ def turned_over(
     return known, before, start, after, bias, up(drift * seconds)
 
 
-@compiled
+@compiled_bare
 def node_of(effort: NDArray[np.int64], begin: int, end: int, turned_until: int) -> int:
     """The gyro node in [begin, end) with that effort of ω_z; before `begin` if there is none. They rise as times do."""
     node = first_not_before(effort[:, 2:], begin, end, turned_until)
     return node if node < end and effort[node, 2] == turned_until else begin - 1
 
 
-@compiled
+@compiled_bare
 def turned_so(
     headings: NDArray[np.float64],
     swing: NDArray[np.float64],
@@ -178,7 +179,7 @@ def turned_so(
     return HeadingStep(change, slope, error, inside, bias, aged)
 
 
-@compiled
+@compiled_bare
 def correct(
     rows: NDArray[np.float64],
     known: NDArray[np.bool_],
@@ -199,7 +200,7 @@ def correct(
     return True
 
 
-@compiled
+@compiled_bare
 def show(
     e: Ellipsoid,
     kept: NDArray[np.float64],
@@ -227,7 +228,7 @@ def show(
     return half_width(e, YAW) <= WIDEST_YAW
 
 
-@compiled
+@compiled_bare
 def show_all(
     rows: NDArray[np.float64],
     kept: NDArray[np.float64],
@@ -240,11 +241,12 @@ def show_all(
     node: int,
     newest: int,
     bias: Interval,
-) -> tuple[bool, bool]:
-    """`show` of those there are; where there is none, True."""
-    shown = np.ones(2, np.bool_)
+) -> int:
+    """`show` of those there are. What became of them, as in `planar_step`."""
+    outcomes = 0
     for frame in range(2):
         if known[frame]:
             e = stored(rows[frame])
-            shown[frame] = show(e, kept[frame], frame, here, core, pending, turns, headings, node, newest, bias)
-    return shown[0], shown[1]
+            if not show(e, kept[frame], frame, here, core, pending, turns, headings, node, newest, bias):
+                outcomes |= TOO_WIDE << (BITS * frame)
+    return outcomes

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.compiled import compiled
-from estimator.frames import Box3, columns, largest
+from estimator.frames import Box3, columns, columns_at, largest, tilted
 from estimator.interval import Interval, add, is_empty, meet, mid, mig, outward, reach, scale, up, widen
 from estimator.motion import TrackBounds, variation
 
@@ -99,32 +99,52 @@ def travel(
     net [3, 2] encloses the step's displacement alone; swing [3] as in `turn`; pending [3] becomes q |c_k|. False, and
     nothing written, if the tracks ran faster than the robot can.
     """
-    box = attitude_box(attitude)
-    ahead, sideways, upward = columns(box)
-    travelled, path, q, counted = tracked(left, right, counted, turning, time_high, bounds)
-    if is_empty(travelled):
+    way = tracked(left, right, counted, turning, time_high, bounds)
+    if is_empty(way.distance):
         return False
+    axes = columns(attitude_box(attitude))
+    carry(0, axes, way, turning, turning_telescoped, bounds, axis, first, core, net, swing, pending)
+    return True
+
+
+@compiled
+def carry(
+    row: int,
+    axes: tuple[Box3, Box3, Box3],
+    way: Tracked,
+    turning: float,
+    turning_telescoped: float,
+    bounds: TrackBounds,
+    axis: NDArray[np.float64],
+    first: bool,
+    core: NDArray[np.float64],
+    net: NDArray[np.float64],
+    swing: NDArray[np.float64],
+    pending: NDArray[np.float64],
+) -> None:
+    """`travel` of (x, y, z) in rows `row` to row + 2, along the robot's axes, by what the tracks say."""
+    ahead, sideways, upward = axes
+    travelled, path, q, counted = way
     q_now = q if counted else 0.0
     for i in range(3):
-        c = mid(ahead[i])
-        bent = 0.0 if first else up(q * up(abs((c if counted else 0.0) - axis[i])))
+        at, c = row + i, mid(ahead[i])
+        bent = 0.0 if first else up(q * up(abs((c if counted else 0.0) - axis[at])))
         side = largest(sideways, i)
         rest = up(up(up(reach(ahead[i], c) * path) + up(side * up(bounds.lateral * path))))
         rest = up(rest + up(largest(upward, i) * up(bounds.normal * path)))
         main = scale(c, travelled)
         telescoped = widen(main, up(rest + up(side * up(bounds.turning_centre * turning_telescoped))))
-        core[i, 0], core[i, 1] = widen(add((core[i, 0], core[i, 1]), telescoped), bent)
+        core[at, 0], core[at, 1] = widen(add((core[at, 0], core[at, 1]), telescoped), bent)
         slide = up(side * up(bounds.turning_centre * turning))
         alone = widen(main, up(up(rest + slide) + up(q_now * abs(c))))
         varied = up(up(largest(ahead, i) * path) + up(slide + up(largest(upward, i) * up(bounds.normal * path))))
         varied = up(varied + up(side * up(bounds.lateral * path)))
         limit = (-varied, varied)
         alone = meet(alone, limit)
-        net[i, 0], net[i, 1] = alone
-        swing[i] = max(0.0, up(0.5 * (varied - mig(alone))))
-        axis[i] = c
-        pending[i] = up(q_now * abs(c))
-    return True
+        net[at, 0], net[at, 1] = alone
+        swing[at] = max(0.0, up(0.5 * (varied - mig(alone))))
+        axis[at] = c
+        pending[at] = up(q_now * abs(c))
 
 
 @compiled
@@ -149,18 +169,14 @@ def travel_in_all_frames(
 
     attitude [4, 2]: roll, pitch, yaw in the map, yaw on Earth. In the local frame the step stands alone.
     """
+    way = tracked(left, right, counted, turning, time_high, bounds)
+    if is_empty(way.distance):
+        return False
+    tilt = tilted((attitude[0, 0], attitude[0, 1]), (attitude[1, 0], attitude[1, 1]))
     core[6:] = 0.0
-    rows = np.empty((3, 2))
-    rows[:2] = attitude[:2]
     for frame in range(3):
-        i = 3 * frame
-        if frame < 2:
-            rows[2] = attitude[2 + frame]
-        else:
-            rows[2, 0], rows[2, 1] = local_yaw
-        if not travel(
-            rows, left, right, counted, time_high, turning, turning_telescoped, bounds, axis[i : i + 3],
-            first or frame == 2, core[i : i + 3], net[i : i + 3], swing[i : i + 3], pending[i : i + 3],
-        ):  # fmt: skip
-            return False
+        yaw = local_yaw if frame == 2 else (attitude[2 + frame, 0], attitude[2 + frame, 1])
+        axes = columns_at(tilt, yaw)
+        alone = first or frame == 2
+        carry(3 * frame, axes, way, turning, turning_telescoped, bounds, axis, alone, core, net, swing, pending)
     return True

@@ -66,7 +66,7 @@ def without_remainder(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(motion, "reach", lambda a, c: 0.0)
     patch.setattr(tracks, "reach", lambda a, c: 0.0)
     patch.setattr(tracks, "tracked", interpreted(tracks.tracked))
-    patch.setattr(tracks, "travel", interpreted(tracks.travel))
+    patch.setattr(tracks, "carry", interpreted(tracks.carry))
     patch.setattr(encoder_step, "travel_in_all_frames", interpreted(tracks.travel_in_all_frames))
     patch.setattr(position, "encoder_step", interpreted(encoder_step.encoder_step))
     patch.setattr(gyro_step, "turn", interpreted(motion.turn))

@@ -19,7 +19,8 @@ EXACT.dps = 60
 
 Vector = NDArray[np.float64]
 UNITS = np.array([1.0, 1.0, 0.1, 0.01])
-COMPILED, PLAIN = "from drivers.compiled import compiled", "compiled = lambda function: function"
+COMPILED = "from drivers.compiled import compiled_bare, plain_or_compiled"
+PLAIN = "compiled_bare = plain_or_compiled = lambda function: function"
 
 
 def drawn(rng: np.random.Generator, n: int = 4) -> Ellipsoid:
@@ -151,6 +152,23 @@ def test_no_point_is_lost_not_even_by_rounding(check: str) -> None:
     assert all(CHECKS[check](el, rng) for _ in range(80))
 
 
+def test_the_image_is_the_formula_and_hardly_wider() -> None:
+    """A c + v and Σ P_j / α_j, α_j = sqrt(tr P_j) / Σ sqrt(tr P_i), written in matrices: wider by 1e-11 at most."""
+    rng = np.random.default_rng(8)
+    for _ in range(200):
+        e, (matrix, shift, columns, half_widths) = drawn(rng), a_step(rng)
+        segments = [*columns.T, *np.diag(half_widths)]
+        parts = [matrix @ e.shape @ matrix.T, *(np.outer(g, g) for g in segments)]
+        roots = np.array([np.sqrt(np.trace(part / np.outer(e.units, e.units))) for part in parts])
+        centre, away = matrix @ e.centre + shift, 1e-13 * (np.abs(matrix) @ np.abs(e.centre) + np.abs(shift))
+        el.image(e, matrix, shift, columns, half_widths)
+        formula = sum(part * roots.sum() / root for part, root in zip(parts, roots, strict=True) if root > 0.0)
+        size = np.sqrt(np.diag(e.shape))
+        assert np.all(np.abs(e.centre - centre) <= away)
+        assert np.all(size >= np.sqrt(np.diag(formula)))
+        assert np.all(size <= np.sqrt(np.diag(formula)) * (1.0 + 1e-11) + 1e3 * away)
+
+
 @settings(max_examples=40)
 @given(st.integers(0, 2**32), st.sampled_from(sorted(CHECKS)))
 def test_no_point_is_lost_whatever_is_drawn(seed: int, check: str) -> None:
@@ -188,6 +206,7 @@ def test_a_broken_formula_is_caught(name: str) -> None:
     """Each of these mistakes, written into the code, loses a point within 300 draws."""
     right, wrong, check = BREAKS[name]
     source = inspect.getsource(el)
+    assert COMPILED in source
     assert source.count(right) >= 1, "the line to break is gone"
     broken = ModuleType("broken")
     plain = source.replace(COMPILED, PLAIN)

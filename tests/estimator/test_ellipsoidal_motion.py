@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 
 from estimator import ellipsoid as el
 from estimator import ellipsoidal_motion as em
-from estimator.frames import columns
+from estimator.frames import Tilt, columns, tilted
 from estimator.tracks import Tracked
 
+COMPILED = "from drivers.compiled import compiled_bare"
+PLAIN = "compiled_bare = lambda function: function"
 MS = 1e-3
 STEP, LAG = 20, 3
 """Milliseconds from reading to reading, and from a reading to the gyro node after it."""
@@ -82,9 +84,10 @@ class Drive:
         """The true state at reading k."""
         return np.array([*self.place[k * STEP], self.yaw[k * STEP + LAG], self.bias])
 
-    def intervals(self) -> tuple[tuple[float, float], ...]:
-        """Roll and pitch."""
-        return tuple((float(a - self.tilt_half), float(a + self.tilt_half)) for a in self.tilt)
+    def tilt_box(self) -> Tilt:
+        """Roll and pitch, as intervals."""
+        roll, pitch = ((float(a - self.tilt_half), float(a + self.tilt_half)) for a in self.tilt)
+        return tilted(roll, pitch)
 
 
 def nearest(e: el.Ellipsoid, truth: NDArray[np.float64], pending: NDArray[np.float64]) -> float:
@@ -107,8 +110,7 @@ def drive(code: ModuleType, rng: np.random.Generator, steps: int, flips: bool) -
     kept = em.memory()
     worst = 0.0
     for k in range(steps):
-        roll, pitch = world.intervals()
-        code.travel_ellipsoid(e, world.headings[k], *world.travels[k], roll, pitch, k == 0, kept)
+        code.travel_ellipsoid(e, world.headings[k], *world.travels[k], world.tilt_box(), k == 0, kept)
         worst = max(worst, nearest(e, world.at(k + 1), kept[8:]))
     return worst
 
@@ -140,9 +142,10 @@ def test_a_broken_step_is_caught(name: str) -> None:
     """Each of these mistakes, written into the code, loses the truth within 400 drives."""
     right, wrong, steps = BREAKS[name]
     source = inspect.getsource(em)
+    assert COMPILED in source
     assert source.count(right) == 1, "the line to break is gone"
     broken = ModuleType("broken")
-    plain = source.replace("from drivers.compiled import compiled", "compiled = lambda function: function")
+    plain = source.replace(COMPILED, PLAIN)
     exec(plain.replace(right, wrong), broken.__dict__)
     rng = np.random.default_rng(12)
     assert any(drive(broken, rng, steps, flips=bool(k % 2)) > 1.0 + 1e-3 for k in range(400))
