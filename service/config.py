@@ -130,7 +130,7 @@ def load(path: Path) -> LoadedConfig:
 
 
 def load_for_ports(path: Path) -> LoadedConfig:
-    """`load` for who opens the ports (a replay does not): each device has one of its own, or ConfigurationError."""
+    """`load` for who opens the ports (a replay does not). ConfigurationError where devices share one, or files do."""
     loaded, taken = load(path), dict[str, str]()
     for entry in fields(loaded.config.devices):
         device, key = getattr(loaded.config.devices, entry.name), f"devices.{entry.name}.port"
@@ -140,7 +140,29 @@ def load_for_ports(path: Path) -> LoadedConfig:
             raise ConfigurationError(f"{path}: {key}: is empty; name the port that the device is on")
         if (other := taken.setdefault(device.port, key)) != key:
             raise ConfigurationError(f"{path}: {other} and {key}: both are {device.port!r}; each device needs its own")
+    _refuse_shared_files(loaded, path)
     return loaded
+
+
+def _refuse_shared_files(loaded: LoadedConfig, path: Path) -> None:
+    """What is written must not take the place of what is read, nor of each other."""
+    config = loaded.config
+    taken = {path.resolve(): "the configuration itself"}
+    files = {
+        "devices.encoders.dbc": config.devices.encoders.dbc,
+        "store.path": config.store.path,
+        "store.map": config.store.map,
+        "record.path": config.record.path,
+    }
+    for key, name in files.items():
+        if name is None:
+            continue
+        try:
+            file = loaded.path(name).resolve()
+        except (ValueError, RuntimeError) as error:  # a zero byte; `~nobody`
+            raise ConfigurationError(f"{path}: {key}: {name!r} can't be the name of a file ({error})") from None
+        if (other := taken.setdefault(file, key)) != key:
+            raise ConfigurationError(f"{path}: {key}: {name!r} is {other}, too; name a file of its own")
 
 
 def parse(text: str, folder: Path, source: str, dbc: str | None = None) -> LoadedConfig:

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from drivers.errors import ConfigurationError
-from service.config import load, parse
+from service.config import load, load_for_ports, parse
 from service.shipped import shipped_config
 
 DEMO = shipped_config("demo.toml").read_text(encoding="utf-8")
@@ -129,6 +129,35 @@ def test_a_long_wrong_value_is_not_repeated_whole() -> None:
 def test_what_stands_in_itself_too_deeply_is_refused(text: str) -> None:
     """A file of another program, or of nobody: one line."""
     assert "too deeply" in complaint(text)
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        ('[store]\npath = "map.db"\nmap = "./map.db"\n', "store.map: './map.db' is store.path, too"),
+        ('[store]\nmap = "tracks.dbc"\n', "store.map: 'tracks.dbc' is devices.encoders.dbc, too"),
+        ('[store]\npath = "robot.toml"\n', "store.path: 'robot.toml' is the configuration itself, too"),
+        ('[store]\npath = "a"\n[record]\npath = "a"\n', "record.path: 'a' is store.path, too"),
+        ('[store]\nmap = "a\\u0000"\n', "store.map: 'a\\x00' can't be the name of a file"),
+        (
+            '[store]\nmap = "~nobody-of-this-name/a"\n',
+            "store.map: '~nobody-of-this-name/a' can't be the name of a file",
+        ),
+    ],
+)
+def test_a_file_that_is_written_is_no_other_one(more: str, told: str, tmp_path: Path) -> None:
+    """The map's file would take the store's place, or the configuration's: nothing of that sort begins."""
+    (tmp_path / "robot.toml").write_text(DEMO + "\n" + more)
+    (tmp_path / "tracks.dbc").write_text("")
+    with pytest.raises(ConfigurationError) as caught:
+        load_for_ports(tmp_path / "robot.toml")
+    assert told in str(caught.value)
+
+
+def test_files_of_their_own_are_taken(tmp_path: Path) -> None:
+    """As in the shipped examples."""
+    (tmp_path / "robot.toml").write_text(DEMO + '\n[store]\npath = "map.db"\nmap = "map.npz"\n[record]\npath = "%Y"\n')
+    assert load_for_ports(tmp_path / "robot.toml").config.store.map == "map.npz"
 
 
 def test_a_dbc_file_of_any_encoding_is_read(tmp_path: Path) -> None:
