@@ -44,6 +44,8 @@ GATHER_S = 0.004
 """In a lockstep that hurries: take more samples at a time, so that threads change places less often."""
 HURRY = 1.5
 """Times real time."""
+SOON_NS = 20_000_000
+"""What the publisher has not taken so long after the last update waits for its link."""
 TOLD_FAULTS = 16
 """Health tells of so many of the newest."""
 OFFER_PERIOD_NS = 100_000_000
@@ -308,8 +310,12 @@ class Onboard:
 
     @property
     def _is_soon_taken(self) -> bool:
-        """Has the publisher a session? Else nobody looks a thousand times a second whether it takes an update."""
-        return self.publisher.takes_updates and self.publisher.failure is None
+        """Will the publisher take an update in a moment? Not without a session, nor while a slow link is full.
+
+        Nobody need look a thousand times a second then.
+        """
+        soon = time.monotonic_ns() - self._offered_ns < SOON_NS
+        return soon and self.publisher.takes_updates and self.publisher.failure is None
 
     def _health_now(self, now_ns: int, last: bool) -> Mapping[str, Any]:
         """Health as it is published. It goes out far less often than tiles: put together ten times a second."""

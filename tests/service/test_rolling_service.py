@@ -4,7 +4,9 @@ import socket
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -74,6 +76,46 @@ def small(tmp_path: Path) -> LoadedConfig:
         store=replace(demo.config.store, path=str(tmp_path / "map.db"), interval_s=0.1),
     )
     return replace(demo, config=config)
+
+
+def test_while_a_slow_link_is_full_nobody_looks_all_the_time_whether_it_is_free(
+    small: LoadedConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A radio of 10 kB/s has work for many seconds: the mapping thread keeps the scans' rhythm meanwhile."""
+    config = small.config
+    narrow = replace(
+        config,
+        map=replace(config.map, max_tiles=4096),
+        publish=replace(config.publish, max_bytes_per_s=10_000.0),
+        store=replace(config.store, path=None),
+    )
+    onboard = Onboard(replace(small, config=narrow), SystemClock(), devices=())
+    looks, take = 0, onboard.readers.take
+
+    def counted(*arguments: Any) -> list[Arrival]:
+        nonlocal looks
+        looks += 1
+        return take(*arguments)
+
+    monkeypatch.setattr(onboard.readers, "take", counted)
+    onboard.start()
+    try:
+        deadline = time.monotonic() + PATIENCE_S
+        for arrivals in islice(drive(), 60):
+            onboard.queue.put(arrivals)
+            while not onboard.queue.empty:
+                assert time.monotonic() < deadline
+                time.sleep(0.005)
+        while onboard.publisher.ready:
+            assert time.monotonic() < deadline
+            time.sleep(0.005)
+        before, began = looks, time.monotonic()
+        time.sleep(1.0)  # what passes meanwhile is counted
+        assert looks - before < 150 * (time.monotonic() - began)
+        assert not onboard.publisher.ready
+    finally:
+        onboard.publisher.close()
+        onboard.stop()
 
 
 @pytest.mark.parametrize("session", ["open", "late"])
