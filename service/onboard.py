@@ -6,23 +6,22 @@ Used alike by `run`, `demo`, `replay --ports` and the tests; they differ in the 
 import gc
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from drivers.clock import Clock
-from drivers.errors import TerraboundError
-from estimator.bounded_pose import Anchor, BoundedPose, Guarantee
-from mapper.tile import Tile
+from estimator.bounded_pose import BoundedPose
 from service.config import LoadedConfig
 from service.devices import Device, wiring
 from service.lifecycle import process_age_s
-from service.map_file import save_map, save_tiles
+from service.map_file import save_map
 from service.map_keeper import MapKeeper, Unkept
 from service.map_update import MAP_FRAME, MapUpdate
 from service.messages import fault_values
 from service.offered_place import OfferedPlace
+from service.passing_save import PassingSave
 from service.pipeline import Pipeline
 from service.published_map import Recall, nothing_kept
 from service.publisher import Publisher
@@ -114,8 +113,7 @@ class Onboard:
         self._first_scan_s: float | None = None
         """Of the process's life, when its first scan was in the map."""
         self._save_wanted = threading.Event()
-        self._saver: threading.Thread | None = None
-        """Writes the map's file in passing."""
+        self._passing_save = PassingSave(config.map.resolution_m, self.health)
         self._thread = threading.Thread(target=self._map, name="pipeline", daemon=True)
 
     @property
@@ -148,8 +146,7 @@ class Onboard:
         self._stopping.set()
         if self._thread.is_alive():
             self._thread.join()
-        if self._saver is not None:
-            self._saver.join()
+        self._passing_save.wait()
         try:
             if self._keep:
                 self.save_map()
@@ -188,24 +185,11 @@ class Onboard:
         return None if wanted is None else self._loaded.path(wanted)
 
     def _save_in_passing(self) -> None:
-        """Copy the map, and have a thread write it: nothing else waits for the disk. One at a time."""
-        path, busy = self._map_path, self._saver is not None and self._saver.is_alive()
-        if path is not None and not busy:
-            # What memory lacks is settled now, by the thread that brings tiles back; the disk is read by the saver.
+        """Copy the map, and have it written: nothing else waits for the disk."""
+        if (path := self._map_path) is not None and not self._passing_save.busy:
+            # What memory lacks is settled now, by the thread that brings tiles back; the disk is read by who writes.
             whole, state = chain(self.pipeline.map.tiles(), self.keeper.kept()), self.pipeline.filter
-            self._saver = threading.Thread(
-                target=self._write_copy, args=(whole, state.anchor, state.guarantee, path), name="saver", daemon=True
-            )
-            self._saver.start()
-
-    def _write_copy(self, tiles: Iterable[Tile], anchor: Anchor | None, guarantee: Guarantee, path: Path) -> None:
-        """Save while running: a full disk is told, and mapping goes on."""
-        try:
-            save_tiles(tiles, self.pipeline.map.config.resolution_m, anchor, guarantee, path)
-        except TerraboundError as error:
-            self.health.trouble("saving", str(error))
-        else:
-            self.health.trouble("saving", None)
+            self._passing_save.begin(whole, state.anchor, state.guarantee, path)
 
     def request_save(self) -> None:
         """Have the pipeline thread save the map when it next has a moment."""
