@@ -57,6 +57,8 @@ class AttitudeChain:
         self._accel_bound = up(imu.accel_bound_mps2 + robot.max_acceleration_mps2)
         self._still_rate = up(radians(config.standstill_rate_dps or 0.0))
         self._journal = journal
+        self._room = np.empty(8)
+        """For what comes between the operations of a step."""
         self.tube = Tube(int(config.history_s * 1e9), coordinates=4)
         self.packets = GyroPackets(imu.clock_drift_ppm, journal)
         self.bias = np.array([[-self.gyro.most_bias, self.gyro.most_bias]] * 3)
@@ -81,7 +83,7 @@ class AttitudeChain:
             i, tube.begin, stamp.earliest_ns, stamp.latest_ns, sample.epoch, device_us, resolution_us, sample.gyro_rps,
             packets.end - 1, packets.numbers, packets.rates, packets.learnt, packets.drift, sample.after_loss,
             was_level, tuple(self.gyro), self.bias, tube.times, tube.box, tube.swing, tube.net, tube.heading,
-            tube.effort,
+            tube.effort, self._room,
         )  # fmt: skip
         if clock_off_s > 0.0:
             self._journal.report("imu_clock", stamp.mid_ns, clock_off_s, "s")
@@ -151,7 +153,7 @@ class AttitudeChain:
             box, self.level, sample.tilt_rad, self._tilt_bound + tilt_wider, ahead, left,
             self._accel_bound + accel_wider, stamp.earliest_ns, stamp.latest_ns, sample.epoch, device_us, resolution_us,
             packets.numbers, packets.begin, packets.end, packets.drift, self.gyro.most_rate,
-            min(self.gyro.most_rate, self.gyro.most_tilt_rate),
+            min(self.gyro.most_rate, self.gyro.most_tilt_rate), self._room,
         )  # fmt: skip
 
     def _report_tilt(self, sample: InertialSample) -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.compiled import compiled
+from drivers.compiled import compiled_bare
 from estimator.interval import Interval, up, widen
 from estimator.motion import (
     QUANTUM,
@@ -17,7 +17,7 @@ from estimator.tracks import travel_in_all_frames
 from estimator.tube import first_not_before, hull_between, last_not_after, put_in_order
 
 
-@compiled
+@compiled_bare
 def encoder_step(
     i: int,
     begin: int,
@@ -79,28 +79,24 @@ def encoder_step(
         attitude[:2, 0], attitude[:2, 1] = -UNKNOWN_TILT, UNKNOWN_TILT
         attitude[2:, 0], attitude[2:, 1] = -UNKNOWN_YAW, UNKNOWN_YAW
         telescoped = up(turning + telescoped)
-    nets, swings = np.empty((9, 2)), np.empty(9)
     sound = travel_in_all_frames(
-        attitude, local_yaw, left, right, counted, time_high, turning, telescoped, bounds, axis, fresh, core, nets,
-        swings, pending,
+        attitude, local_yaw, left, right, counted, time_high, turning, telescoped, bounds, axis, fresh, core, pending,
+        net[i], local[i], swing[i],
     )  # fmt: skip
     if not sound:
         travel_in_all_frames(
-            attitude, local_yaw, left, right, False, time_high, turning, telescoped, bounds, axis, fresh, core, nets,
-            swings, pending,
+            attitude, local_yaw, left, right, False, time_high, turning, telescoped, bounds, axis, fresh, core, pending,
+            net[i], local[i], swing[i],
         )  # fmt: skip
     put_in_order(times, begin, i, earliest_ns, latest_ns)
-    heading[i] = turn_heading[a]
     for c in range(3):
-        net[i, c] = nets[c]
-        local[i, c, 0], local[i, c, 1], local[i, c, 2] = nets[6 + c, 0], nets[6 + c, 1], swings[6 + c]
+        heading[i, c] = turn_heading[a, c]
     for c in range(6):
-        swing[i, c] = swings[c]
         box[i, c, 0], box[i, c, 1] = widen((core[c, 0], core[c, 1]), pending[c])  # what is still to come undone
     return a, b, remembered, sound, time_high, turning, telescoped, until
 
 
-@compiled
+@compiled_bare
 def swept_over(
     times: NDArray[np.int64],
     box: NDArray[np.float64],

@@ -3,7 +3,7 @@
 from math import sqrt
 from typing import TypeAlias
 
-from drivers.compiled import compiled
+from drivers.compiled import compiled_bare
 from estimator.interval import (
     Interval,
     add,
@@ -27,7 +27,7 @@ Tilt: TypeAlias = tuple[Interval, Interval, Interval, Interval, Interval, Interv
 """sφ, cφ, sθ, cθ, sθ sφ, sθ cφ."""
 
 
-@compiled
+@compiled_bare
 def columns(attitude: Box3) -> tuple[Box3, Box3, Box3]:
     """R's (SMF section 1), the robot's axes in the map: ahead (cψ cθ, sψ cθ, -sθ),
 
@@ -36,7 +36,7 @@ def columns(attitude: Box3) -> tuple[Box3, Box3, Box3]:
     return columns_at(tilted(attitude[0], attitude[1]), attitude[2])
 
 
-@compiled
+@compiled_bare
 def tilted(roll: Interval, pitch: Interval) -> Tilt:
     """What the same roll and pitch have in common, whatever the yaw: for `columns_at`."""
     sf, cf = sine(roll), cosine(roll)
@@ -44,7 +44,7 @@ def tilted(roll: Interval, pitch: Interval) -> Tilt:
     return sf, cf, st, ct, mul(st, sf), mul(st, cf)
 
 
-@compiled
+@compiled_bare
 def columns_at(tilt: Tilt, yaw: Interval) -> tuple[Box3, Box3, Box3]:
     """`columns` with that yaw."""
     sf, cf, st, ct, stsf, stcf = tilt
@@ -56,7 +56,7 @@ def columns_at(tilt: Tilt, yaw: Interval) -> tuple[Box3, Box3, Box3]:
     )
 
 
-@compiled
+@compiled_bare
 def turned(yaw: Interval, x: Interval, y: Interval) -> tuple[Interval, Interval]:
     """Rz(yaw) (x, y), outer: the Cartesian enclosure, met with the polar one, ρ (cos, sin)(α + yaw).
 
@@ -76,7 +76,7 @@ def turned(yaw: Interval, x: Interval, y: Interval) -> tuple[Interval, Interval]
     return ahead, left
 
 
-@compiled
+@compiled_bare
 def largest(axis: Box3, i: int) -> float:
     """Largest |component i| of a unit vector inside a box."""
     return min(1.0, mag(axis[i]))

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.compiled import compiled
+from drivers.compiled import compiled_bare
 from drivers.samples import InertialSample, Stamp, Vector3
 from estimator.inconsistency import Journal
 from estimator.interval import down, up
@@ -119,7 +119,7 @@ def board_clock(sample: InertialSample) -> tuple[int, int]:
     return device_us, CLOCK_STEP_US.get(sample.message, MILLISECOND_US)
 
 
-@compiled
+@compiled_bare
 def append(
     numbers: NDArray[np.int64],
     rates: NDArray[np.float64],
@@ -143,13 +143,13 @@ def append(
         rates[row, axis] = rate[axis]
 
 
-@compiled
+@compiled_bare
 def on_one_clock(packet: NDArray[np.int64], epoch: int, device_us: int) -> bool:
     """May the board's times of a packet and of a reading be subtracted?"""
     return bool(epoch == packet[EPOCH] and device_us != NO_CLOCK and packet[DEVICE_US] != NO_CLOCK)
 
 
-@compiled
+@compiled_bare
 def goes_back(
     last: NDArray[np.int64],
     earliest_ns: int,
@@ -172,7 +172,7 @@ def goes_back(
     return True, max(0.0, (surely_ns - at_most_ns) * 1e-9)
 
 
-@compiled
+@compiled_bare
 def elapsed(
     last: NDArray[np.int64],
     earliest_ns: int,
@@ -210,7 +210,7 @@ def elapsed(
     return max(0.0, down(low * 1e-9)), up(high * 1e-9), earliest_ns, latest_ns, gap, 0.0
 
 
-@compiled
+@compiled_bare
 def around(
     numbers: NDArray[np.int64],
     begin: int,

@@ -5,7 +5,7 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.compiled import compiled
+from drivers.compiled import compiled_bare
 from drivers.samples import Vector3
 from estimator.gyro_packets import (
     DEVICE_US,
@@ -38,7 +38,7 @@ TOO_EARLY, MUST_WAIT = 3, 4
 """... and what else tilt_step does."""
 
 
-@compiled
+@compiled_bare
 def gyro_step(
     i: int,
     begin: int,
@@ -63,10 +63,11 @@ def gyro_step(
     net: NDArray[np.float64],
     heading: NDArray[np.float64],
     effort: NDArray[np.int64],
+    room: NDArray[np.float64],
 ) -> tuple[bool, bool, bool, bool, float]:
     """rotate -> turn: node i of the turns [begin, i), at the true time of a packet, which becomes number newest + 1.
 
-    `bounds` are GyroBounds as a plain tuple, which is handed over four times as fast.
+    `bounds` are GyroBounds as a plain tuple, which is handed over four times as fast; room [8]: of what comes between.
 
     Returns: was the packet newer than the newest; did no axis turn faster than declared; is the attitude a verified
     box, as it was before (`level`); did packets get lost; how wrong the board's clock surely is, in s.
@@ -82,7 +83,7 @@ def gyro_step(
     lost = gap and learnt[INTERVALS] > LEARNING_PACKETS
     put_in_order(times, begin, i, earliest_ns, latest_ns)
     sound, level = turn_node(
-        i, rate, least_s, most_s, gap, level, GyroBounds(*bounds), bias, box, swing, net, heading, effort
+        i, rate, least_s, most_s, gap, level, GyroBounds(*bounds), bias, box, swing, net, heading, effort, room
     )
     append(
         numbers, rates, newest + 1, earliest_ns, latest_ns, began_ns, epoch, device_us, resolution_us, effort[i], rate
@@ -90,7 +91,7 @@ def gyro_step(
     return True, sound, level, lost, off_s
 
 
-@compiled
+@compiled_bare
 def turn_node(
     i: int,
     rate: Vector3,
@@ -105,17 +106,20 @@ def turn_node(
     net: NDArray[np.float64],
     heading: NDArray[np.float64],
     effort: NDArray[np.int64],
+    room: NDArray[np.float64],
 ) -> tuple[bool, bool]:
     """Node i of the tube from the one before: rotate -> turn, with an attitude unknown where that can't be enclosed.
 
     Did no axis turn faster than declared; is the attitude a verified box, as it was before (`level`).
     """
-    varied, plain = np.empty(3), np.empty(5)
+    varied, plain = room[:3], room[3:]
     measured = (float(rate[0]), float(rate[1]), float(rate[2]))
     sound = rotate(measured, bias, least_s, most_s, gap, bounds, net[i], varied, plain)
     for axis in range(3):
         effort[i, axis] = effort[i - 1, axis] + ceil(varied[axis] / QUANTUM) + 1
-    box[i], heading[i], swing[i] = box[i - 1], heading[i - 1], 0.0
+        heading[i, axis] = heading[i - 1, axis]
+    for c in range(box.shape[1]):
+        box[i, c, 0], box[i, c, 1], swing[i, c] = box[i - 1, c, 0], box[i - 1, c, 1], 0.0
     still_level = level and turn(box[i], net[i], varied, swing[i], plain, heading[i])
     if not still_level:
         heading[i, 2] += LOST_YAW
@@ -130,7 +134,7 @@ def turn_node(
     return sound, still_level
 
 
-@compiled
+@compiled_bare
 def tilt_step(
     box: NDArray[np.float64],
     known: bool,
@@ -150,30 +154,27 @@ def tilt_step(
     drift: float,
     most_rate: float,
     most_tilt_rate: float,
+    room: NDArray[np.float64],
 ) -> int:
     """Contract roll and pitch of the newest box by a reading made between two of the packets; see contract_tilt.
 
     A reading of the newest packet's own time needs no later one to be waited for: between the two there is at most the
     clock's resolution, and the declared greatest rates.
     """
-    if end - begin > 1:
-        since = np.empty(3, np.int64)
-        if own_time(numbers[(end - 1) % REMEMBERED], epoch, device_us, resolution_us, drift, most_rate, most_tilt_rate,
-                    since):  # fmt: skip
-            return contract_tilt(
-                box, known, tilt[0], tilt[1], tilt_error, ahead, left, accel_error,
-                numbers[(end - 1) % REMEMBERED, EFFORT:], since,
-            )  # fmt: skip
-    k = around(numbers, begin, end, earliest_ns, latest_ns, epoch, device_us, resolution_us)
-    if k < 0:
-        return TOO_EARLY if k == NO_PACKET else MUST_WAIT
-    newest, before = numbers[(end - 1) % REMEMBERED], numbers[k % REMEMBERED]
-    return contract_tilt(
-        box, known, tilt[0], tilt[1], tilt_error, ahead, left, accel_error, newest[EFFORT:], before[EFFORT:]
-    )
+    newest, varied = numbers[(end - 1) % REMEMBERED], room[:3]
+    if end - begin < 2 or not own_time(
+        newest, epoch, device_us, resolution_us, drift, most_rate, most_tilt_rate, varied
+    ):
+        k = around(numbers, begin, end, earliest_ns, latest_ns, epoch, device_us, resolution_us)
+        if k < 0:
+            return TOO_EARLY if k == NO_PACKET else MUST_WAIT
+        before = numbers[k % REMEMBERED]
+        for axis in range(3):
+            varied[axis] = (newest[EFFORT + axis] - before[EFFORT + axis]) * QUANTUM
+    return contract_tilt(box, known, tilt[0], tilt[1], tilt_error, ahead, left, accel_error, varied, room[3:6])
 
 
-@compiled
+@compiled_bare
 def own_time(
     newest: NDArray[np.int64],
     epoch: int,
@@ -182,9 +183,9 @@ def own_time(
     drift: float,
     most_rate: float,
     most_tilt_rate: float,
-    since: NDArray[np.int64],
+    varied: NDArray[np.float64],
 ) -> bool:
-    """Was the reading made when the newest packet was? Then since [3] is its effort less what lies between the two."""
+    """Was the reading made when the newest packet was? Then varied [3] is no less than what lies between the two."""
     if not on_one_clock(newest, epoch, device_us) or abs(device_us) >= FARTHEST_US:
         return False
     apart_us = abs(device_us - newest[DEVICE_US]) + newest[RESOLUTION_US] + resolution_us
@@ -193,5 +194,5 @@ def own_time(
     apart_s = up(up(apart_us / (1.0 - drift)) * 1e-6)
     for axis in range(3):
         most = most_rate if axis == 2 else most_tilt_rate
-        since[axis] = newest[EFFORT + axis] - ceil(up(most * apart_s) / QUANTUM) - 1
+        varied[axis] = (ceil(up(most * apart_s) / QUANTUM) + 1) * QUANTUM
     return True

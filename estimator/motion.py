@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.compiled import compiled
+from drivers.compiled import compiled_bare
 from drivers.samples import Vector3
 from estimator.interval import (
     ULP,
@@ -92,7 +92,7 @@ class TrackBounds(NamedTuple):
         return self
 
 
-@compiled
+@compiled_bare
 def variation(net: Interval, error: float, most_acceleration: float, time: float, loose: float = 0.0) -> float:
     """Upper bound of the integral of |u| over `time`, where the integral of u is in [net] ± error, |du/dt| bounded.
 
@@ -109,7 +109,7 @@ def variation(net: Interval, error: float, most_acceleration: float, time: float
     return total
 
 
-@compiled
+@compiled_bare
 def rotate(
     rate: NDArray[np.float64] | Vector3,
     bias: NDArray[np.float64],
@@ -164,13 +164,13 @@ def rotate(
     return sound
 
 
-@compiled
+@compiled_bare
 def outward_sub(x: float, low: float, high: float) -> Interval:
     """x - [low, high]."""
     return down(x - high), up(x - low)
 
 
-@compiled
+@compiled_bare
 def excursion(roll: Interval, pitch: Interval, varied: NDArray[np.float64], out: NDArray[np.float64]) -> bool:
     """How far each Euler angle can move [3] while the body rates vary by `varied` [3]; False if that is not enclosed.
 
@@ -204,14 +204,14 @@ def excursion(roll: Interval, pitch: Interval, varied: NDArray[np.float64], out:
     return False
 
 
-@compiled
+@compiled_bare
 def weighted(f: Interval, net: Interval, varied: float) -> Interval:
     """Integral of f(t) u(t) dt, as in this file's heading."""
     c = mid(f)
     return widen(scale(c, net), up(reach(f, c) * varied))
 
 
-@compiled
+@compiled_bare
 def turn(
     attitude: NDArray[np.float64],
     turned: NDArray[np.float64],
@@ -253,7 +253,7 @@ def turn(
     return True
 
 
-@compiled
+@compiled_bare
 def go_on(
     heading: NDArray[np.float64], sideways: Interval, secant: Interval, plain: NDArray[np.float64], varied: float
 ) -> None:
@@ -269,7 +269,7 @@ def go_on(
     heading[2] = up(heading[2] + up(error + 4.0 * rounding))
 
 
-@compiled
+@compiled_bare
 def relative_yaw(of: NDArray[np.float64], to: NDArray[np.float64], bias: Interval) -> Interval:
     """Yaw at one gyro node less yaw at another, from their headings (N, τ, ρ): N + τ bias ± ρ.
 
@@ -279,7 +279,7 @@ def relative_yaw(of: NDArray[np.float64], to: NDArray[np.float64], bias: Interva
     return widen(add(outward(of[0] - to[0], of[0] - to[0]), scale(of[1] - to[1], bias)), up(abs(of[2] - to[2])))
 
 
-@compiled
+@compiled_bare
 def relative_yaw_between(
     heading: NDArray[np.float64],
     swing: NDArray[np.float64],
@@ -299,7 +299,7 @@ def relative_yaw_between(
     return low, high
 
 
-@compiled
+@compiled_bare
 def aged_bias(bias: Interval, drift: float, since_ns: int, now_ns: int) -> Interval:
     """[bias] as it is now, and as it was at any time since then."""
     return widen(bias, up(drift * up((now_ns - since_ns) * 1e-9)))

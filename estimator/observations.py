@@ -8,7 +8,7 @@ from math import pi
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.compiled import compiled
+from drivers.compiled import compiled, compiled_bare
 from estimator.frames import columns, turned
 from estimator.interval import (
     TURN,
@@ -28,14 +28,14 @@ from estimator.interval import (
     sub,
     widen,
 )
-from estimator.motion import QUANTUM, excursion
+from estimator.motion import excursion
 
 QUARTER = 0.5 * pi + 1e-15
 GRAVITY: Interval = (9.76, 9.84)
 """m/s^2: at sea level from the equator to the poles, and up to 5000 m."""
 
 
-@compiled
+@compiled_bare
 def accelerometer_tilt(
     ahead: float, left: float, error: float, pitch: Interval, gravity: Interval
 ) -> tuple[Interval, Interval]:
@@ -55,7 +55,7 @@ def accelerometer_tilt(
     return phi, theta
 
 
-@compiled
+@compiled_bare
 def contract_tilt(
     attitude: NDArray[np.float64],
     known: bool,
@@ -65,19 +65,15 @@ def contract_tilt(
     ahead: float,
     left: float,
     accel_error: float,
-    effort: NDArray[np.int64] | tuple[int, int, int],
-    effort_before: NDArray[np.int64] | tuple[int, int, int],
+    varied: NDArray[np.float64],
+    moved: NDArray[np.float64],
 ) -> int:
     """Contract roll and pitch of attitude [3, 2] in place by a reading from a little before; NaN: not measured.
 
-    Since the reading the body rates varied by at most effort - effort_before (QUANTUM), so the angles moved no further
-    than their excursion: from the attitude's own box back in time where that is `known`, else from the reading on.
+    Since the reading the body rates varied by at most `varied` [3], so the angles moved no further than their excursion
+    (moved [3]): from the attitude's own box back in time where that is `known`, else from the reading on.
     Returns 0: done; 1: it contradicts the box, which stays; 2: it says too little to begin with.
     """
-    varied = np.empty(3)
-    for i in range(3):
-        varied[i] = (effort[i] - effort_before[i]) * QUANTUM
-    moved = np.empty(3)
     roll = (attitude[0, 0], attitude[0, 1])
     pitch = (attitude[1, 0], attitude[1, 1])
     known = known and excursion(roll, pitch, varied, moved)

@@ -5,13 +5,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.compiled import compiled
+from drivers.compiled import compiled_bare, compiled_into_callers
 from estimator.frames import Box3, columns, columns_at, largest, tilted
 from estimator.interval import Interval, add, is_empty, meet, mid, mig, outward, reach, scale, up, widen
 from estimator.motion import TrackBounds, variation
 
 
-@compiled
+@compiled_bare
 def attitude_box(attitude: NDArray[np.float64]) -> Box3:
     """[3, 2] array as three intervals."""
     return (
@@ -34,7 +34,7 @@ class Tracked(NamedTuple):
     """... if both were counted."""
 
 
-@compiled
+@compiled_bare
 def to_and_fro(left: float, right: float, turning: float, time_high: float, bounds: TrackBounds) -> tuple[float, float]:
     """No less than either track ran between two counts, all ways added up; left and right: what they counted.
 
@@ -50,7 +50,7 @@ def to_and_fro(left: float, right: float, turning: float, time_high: float, boun
     )
 
 
-@compiled
+@compiled_bare
 def tracked(left: float, right: float, counted: bool, turning: float, time_high: float, bounds: TrackBounds) -> Tracked:
     """From the tracks' travel in metres between two counts (not `counted`: unknown, the counter restarted)."""
     q = up(0.5 * up(bounds.quantum_left + bounds.quantum_right))
@@ -65,7 +65,7 @@ def tracked(left: float, right: float, counted: bool, turning: float, time_high:
     return Tracked(distance, path, q, True)
 
 
-@compiled
+@compiled_bare
 def travel(
     attitude: NDArray[np.float64],
     left: float,
@@ -103,13 +103,17 @@ def travel(
     if is_empty(way.distance):
         return False
     axes = columns(attitude_box(attitude))
-    carry(0, axes, way, turning, turning_telescoped, bounds, axis, first, core, net, swing, pending)
+    for i in range(3):
+        (net[i, 0], net[i, 1]), swing[i] = carry(
+            i, i, axes, way, turning, turning_telescoped, bounds, axis, first, core, pending
+        )
     return True
 
 
-@compiled
+@compiled_into_callers
 def carry(
-    row: int,
+    at: int,
+    i: int,
     axes: tuple[Box3, Box3, Box3],
     way: Tracked,
     turning: float,
@@ -118,36 +122,30 @@ def carry(
     axis: NDArray[np.float64],
     first: bool,
     core: NDArray[np.float64],
-    net: NDArray[np.float64],
-    swing: NDArray[np.float64],
     pending: NDArray[np.float64],
-) -> None:
-    """`travel` of (x, y, z) in rows `row` to row + 2, along the robot's axes, by what the tracks say."""
+) -> tuple[Interval, float]:
+    """`travel` of coordinate i, in row `at` of axis, core and pending, along the robot's axes: net and swing."""
     ahead, sideways, upward = axes
-    travelled, path, q, counted = way
-    q_now = q if counted else 0.0
-    for i in range(3):
-        at, c = row + i, mid(ahead[i])
-        bent = 0.0 if first else up(q * up(abs((c if counted else 0.0) - axis[at])))
-        side = largest(sideways, i)
-        rest = up(up(up(reach(ahead[i], c) * path) + up(side * up(bounds.lateral * path))))
-        rest = up(rest + up(largest(upward, i) * up(bounds.normal * path)))
-        main = scale(c, travelled)
-        telescoped = widen(main, up(rest + up(side * up(bounds.turning_centre * turning_telescoped))))
-        core[at, 0], core[at, 1] = widen(add((core[at, 0], core[at, 1]), telescoped), bent)
-        slide = up(side * up(bounds.turning_centre * turning))
-        alone = widen(main, up(up(rest + slide) + up(q_now * abs(c))))
-        varied = up(up(largest(ahead, i) * path) + up(slide + up(largest(upward, i) * up(bounds.normal * path))))
-        varied = up(varied + up(side * up(bounds.lateral * path)))
-        limit = (-varied, varied)
-        alone = meet(alone, limit)
-        net[at, 0], net[at, 1] = alone
-        swing[at] = max(0.0, up(0.5 * (varied - mig(alone))))
-        axis[at] = c
-        pending[at] = up(q_now * abs(c))
+    q_now = way.quantum if way.counted else 0.0
+    c = mid(ahead[i])
+    bent = 0.0 if first else up(way.quantum * up(abs((c if way.counted else 0.0) - axis[at])))
+    side = largest(sideways, i)
+    rest = up(up(up(reach(ahead[i], c) * way.path) + up(side * up(bounds.lateral * way.path))))
+    rest = up(rest + up(largest(upward, i) * up(bounds.normal * way.path)))
+    main = scale(c, way.distance)
+    telescoped = widen(main, up(rest + up(side * up(bounds.turning_centre * turning_telescoped))))
+    core[at, 0], core[at, 1] = widen(add((core[at, 0], core[at, 1]), telescoped), bent)
+    slide = up(side * up(bounds.turning_centre * turning))
+    alone = widen(main, up(up(rest + slide) + up(q_now * abs(c))))
+    varied = up(up(largest(ahead, i) * way.path) + up(slide + up(largest(upward, i) * up(bounds.normal * way.path))))
+    varied = up(varied + up(side * up(bounds.lateral * way.path)))
+    alone = meet(alone, (-varied, varied))
+    axis[at] = c
+    pending[at] = up(q_now * abs(c))
+    return alone, max(0.0, up(0.5 * (varied - mig(alone))))
 
 
-@compiled
+@compiled_bare
 def travel_in_all_frames(
     attitude: NDArray[np.float64],
     local_yaw: Interval,
@@ -161,13 +159,15 @@ def travel_in_all_frames(
     axis: NDArray[np.float64],
     first: bool,
     core: NDArray[np.float64],
-    net: NDArray[np.float64],
-    swing: NDArray[np.float64],
     pending: NDArray[np.float64],
+    net: NDArray[np.float64],
+    local: NDArray[np.float64],
+    swing: NDArray[np.float64],
 ) -> bool:
     """`travel` of one step in the map, on Earth, and along its own heading: rows 0..2, 3..5, 6..8 of axis to pending.
 
-    attitude [4, 2]: roll, pitch, yaw in the map, yaw on Earth. In the local frame the step stands alone.
+    attitude [4, 2]: roll, pitch, yaw in the map, yaw on Earth. In the local frame the step stands alone. net [3, 2] is
+    that in the map, local [3, 3] low, high and swing along its heading, swing [6] in the map and on Earth.
     """
     way = tracked(left, right, counted, turning, time_high, bounds)
     if is_empty(way.distance):
@@ -175,8 +175,14 @@ def travel_in_all_frames(
     tilt = tilted((attitude[0, 0], attitude[0, 1]), (attitude[1, 0], attitude[1, 1]))
     core[6:] = 0.0
     for frame in range(3):
-        yaw = local_yaw if frame == 2 else (attitude[2 + frame, 0], attitude[2 + frame, 1])
-        axes = columns_at(tilt, yaw)
-        alone = first or frame == 2
-        carry(3 * frame, axes, way, turning, turning_telescoped, bounds, axis, alone, core, net, swing, pending)
+        axes = columns_at(tilt, local_yaw if frame == 2 else (attitude[2 + frame, 0], attitude[2 + frame, 1]))
+        for i in range(3):
+            at, alone = 3 * frame + i, first or frame == 2
+            gone, beyond = carry(at, i, axes, way, turning, turning_telescoped, bounds, axis, alone, core, pending)
+            if frame == 0:
+                net[i, 0], net[i, 1] = gone
+            if frame == 2:
+                local[i, 0], local[i, 1], local[i, 2] = gone[0], gone[1], beyond
+            else:
+                swing[at] = beyond
     return True

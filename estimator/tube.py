@@ -10,7 +10,7 @@ from copy import copy
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.compiled import compiled
+from drivers.compiled import compiled, compiled_bare
 from estimator.interval import down, up
 
 PER_NODE = ("times", "box", "swing", "net", "local", "heading", "effort")
@@ -137,7 +137,7 @@ class Tube:
         return out
 
 
-@compiled
+@compiled_bare
 def put_in_order(times: NDArray[np.int64], begin: int, i: int, earliest_ns: int, latest_ns: int) -> None:
     """Stamp node i, after nodes [begin, i): it is not before any of them, and none of them after it."""
     if i > begin:
@@ -150,7 +150,7 @@ def put_in_order(times: NDArray[np.int64], begin: int, i: int, earliest_ns: int,
         j -= 1
 
 
-@compiled
+@compiled_bare
 def last_not_after(times: NDArray[np.int64], begin: int, end: int, time_ns: int) -> int:
     """Largest i in [begin, end) with latest[i] <= time_ns, else begin - 1; latest never falls."""
     low = begin
@@ -164,7 +164,7 @@ def last_not_after(times: NDArray[np.int64], begin: int, end: int, time_ns: int)
     return low - 1
 
 
-@compiled
+@compiled_bare
 def first_not_before(times: NDArray[np.int64], begin: int, end: int, time_ns: int) -> int:
     """Smallest i in [begin, end) with earliest[i] >= time_ns, else end; earliest never falls."""
     low = begin
@@ -178,7 +178,7 @@ def first_not_before(times: NDArray[np.int64], begin: int, end: int, time_ns: in
     return low
 
 
-@compiled
+@compiled_bare
 def hull_between(
     box: NDArray[np.float64], swing: NDArray[np.float64], first: int, last: int, out: NDArray[np.float64]
 ) -> None:
