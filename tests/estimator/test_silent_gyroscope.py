@@ -1,9 +1,13 @@
-"""While the gyroscope is silent for long, anything may happen between its packets, whatever is known at both ends."""
+"""What a silent gyroscope, or a line that loses its packets, did not tell: anything may have happened meanwhile."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from math import nan, radians
 
 from drivers.config import EncodersConfig, ImuConfig
+from drivers.imu.codec import serialise
+from drivers.imu.messages import highres_imu
+from drivers.imu.protocol import ImuProtocol
 from drivers.samples import InertialSample, Stamp, WheelTicks
 from estimator.config import FilterConfig, RobotConfig
 from estimator.filter import Filter
@@ -37,6 +41,8 @@ IMU = ImuConfig(
     tilt_bound_deg=0.5,
     accel_bound_mps2=0.1,
 )
+CALM_IMU = replace(IMU, gyro_bias_bound_dps=0.1)
+PERIOD_MS = 10
 
 
 def readings() -> Iterator[InertialSample | WheelTicks]:
@@ -64,3 +70,43 @@ def test_a_robot_may_have_climbed_and_come_down_again_while_nothing_was_read() -
     assert after.high[4] - after.low[4] < radians(2.0)
     # 1.2 s at 80 degrees a second up, level again as fast, at 0.5 m/s meanwhile: more than half a metre up.
     assert after.high[2] > 0.5
+
+
+def swaying(loses: bool) -> Iterator[InertialSample | WheelTicks]:
+    """Straight on at 0.5 m/s, the yaw to and fro by a hundredth of a degree: each packet's mean is that of one way.
+
+    Its rate rises and falls by 2 degrees a second in 10 ms: 400 a second squared, as declared.
+    """
+    board = ImuProtocol(CALM_IMU)
+    for number in range(1000):
+        now_ns = PERIOD_MS * number * MS
+        sign = 1.0 if number % 2 else -1.0
+        frame = highres_imu(number % 256, PERIOD_MS * number * 1000, 0, gyro_rps=(0.0, 0.0, sign * radians(1.0)))
+        if not (loses and number % 2):
+            for sample in board.receive_data(serialise(frame), now_ns):
+                yield replace(sample, accel_mps2=(nan, nan, nan), tilt_rad=(0.0, 0.0))
+        yield WheelTicks(Stamp(now_ns, now_ns), 5 * number, 5 * number)
+
+
+def last_yaw_deg(loses: bool) -> tuple[float, float]:
+    """The yaw's bounds at the end of the drive, in degrees; the true one is as at the beginning."""
+    poses = Filter(ROBOT, FilterConfig(history_s=10.0), ENCODERS, CALM_IMU, None)
+    for reading in swaying(loses):
+        poses.accept(reading)
+    assert poses.guarantee.intact
+    pose = poses.latest()
+    assert pose is not None
+    return float(pose.low[5]) / radians(1.0), float(pose.high[5]) / radians(1.0)
+
+
+def test_of_what_every_other_packet_said_the_rest_tells_nothing() -> None:
+    """The means that arrive all say the same way round; the robot went the other way in between, and holds its yaw."""
+    low, high = last_yaw_deg(loses=True)
+    assert low <= 0.0 <= high
+
+
+def test_where_nothing_is_lost_the_yaw_stays_narrow() -> None:
+    """The same drive, all packets heard: bias and noise alone are left."""
+    low, high = last_yaw_deg(loses=False)
+    assert low <= 0.0 <= high
+    assert high - low < 2 * 0.2 * 10
