@@ -195,9 +195,10 @@ def _fixes(robot: Robot, world: World) -> Iterator[tuple[int, Fix]]:
 
 
 def _may_be_wrong(robot: Robot, wrong: list[bool]) -> bool:
-    """Are there few enough wrong ones among the last?"""
-    config = robot.filter
-    return sum(wrong[-(config.wrong_fixes_of - 1) :]) < config.wrong_fixes
+    """Are there few enough wrong ones among the last? They are counted as they arrive, some perhaps much later."""
+    config, in_turn = robot.filter, robot.behaviour.delayed == 0.0
+    among = config.wrong_fixes_of - 1 if in_turn else 2 * config.wrong_fixes_of
+    return sum(wrong[-among:]) < config.wrong_fixes
 
 
 def _told(true: tuple[float, float, float], off: Array) -> tuple[float, float, float]:
