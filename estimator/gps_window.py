@@ -13,7 +13,7 @@ from estimator.frames import turned
 from estimator.interval import add, is_empty, meet
 from estimator.odometry_block import BLOCK, Blocks, empty_block, extend_two_blocks, follow_block, put_fix
 from estimator.paving import contract_by_window
-from estimator.place_polygon import SIDES, cut_anew, cut_polygon, moved_polygon
+from estimator.place_by_yaw import PlaceByYaw
 from estimator.slip_ledger import Mark, SlipLedger
 
 MOST_FIXES = 60
@@ -35,15 +35,13 @@ class GpsWindow:
         """Those between the remembered fixes, then now's; the recent one, and now's again."""
         self._since: list[Mark | None] = [None, None]
         """Where the open block begins, and the recent one."""
-        self._polygon, self._moved = np.zeros(SIDES), np.zeros(SIDES)
-        """Of places at the last fix that was used, and at the fix last given to `narrowed` (place_polygon.py)."""
-        self._bounded = False
-        """Is there a polygon?"""
+        self._places = PlaceByYaw()
+        """By all fixes, from one to the next."""
 
     def clear(self) -> None:
         """Forget all fixes."""
         self.count = 0
-        self._bounded = False
+        self._places.clear()
 
     def extend(
         self,
@@ -81,9 +79,9 @@ class GpsWindow:
             self._settle(k - 1, self._since[0])
         put_fix(self._blocks, k, antenna, offset, heading, seconds[0])
         left = contract_by_window(k, self._blocks, seconds[1], quantum, self._drift, bias, yaw, place)
-        return left and self._in_polygon(quantum, seconds[1], bias, yaw, place)
+        return left and self._by_yaw(quantum, seconds[1], bias, yaw, place)
 
-    def _in_polygon(
+    def _by_yaw(
         self,
         quantum: float,
         now_s: float,
@@ -91,15 +89,10 @@ class GpsWindow:
         yaw: NDArray[np.float64],
         place: NDArray[np.float64],
     ) -> bool:
-        """Contract place [2, 2], which the newest fix has contracted, by where the last ones leave the robot."""
-        if not self._bounded:
-            return True
+        """Contract yaw [2] and place [2, 2], which the newest fix has, by where the last ones leave the robot."""
         self._settle(RECENT, self._since[1])
         self._blocks["heading"][RECENT + 1] = self._blocks["heading"][self.count]
-        self._bounded = moved_polygon(
-            self._polygon, self._blocks[RECENT:], now_s, quantum, self._drift, bias, yaw, self._moved
-        )
-        return not self._bounded or cut_polygon(self._moved, place)
+        return self._places.narrowed(self._blocks[RECENT:], now_s, quantum, self._drift, bias, yaw, place)
 
     def remember(
         self,
@@ -112,10 +105,10 @@ class GpsWindow:
         """Keep the fix last given to `narrowed`, if the way since the last one kept is long enough.
 
         Of its box only that part where the antenna can have been, by what is known of yaw [2] and place [2, 2] now.
-        The polygon goes on from every fix.
+        The polygons go on from every fix.
         """
         k = self.count
-        self._go_on_from(bias, slack, place)
+        self._go_on_from(bias, slack, quantum, yaw, place)
         box = self._blocks["antenna"][k]
         half_width = 0.5 * max(box[0, 1] - box[0, 0], box[1, 1] - box[1, 0])
         spacing = min(max(half_width, LEAST_SPACING_M), MOST_SPACING_M)
@@ -137,13 +130,20 @@ class GpsWindow:
         of = self._blocks
         less(of["raw"][k], of["least"][k], self._ledger.credit(since) if self._ledger else 0.0, of["error"][k])
 
-    def _go_on_from(self, bias: NDArray[np.float64], slack: float, place: NDArray[np.float64]) -> None:
-        """The polygon begins anew, at the fix last given to `narrowed`, which left the robot in place [2, 2]."""
-        self._bounded = cut_anew(self._moved, self._bounded, place)
-        self._polygon[:] = self._moved
+    def _go_on_from(
+        self,
+        bias: NDArray[np.float64],
+        slack: float,
+        quantum: float,
+        yaw: NDArray[np.float64],
+        place: NDArray[np.float64],
+    ) -> None:
+        """The way begins anew, at the fix last given to `narrowed`, which left the robot in place [2, 2]."""
+        self._places.go_on(quantum, yaw, place)
         for name in ("heading", "seconds"):
             self._blocks[name][RECENT] = self._blocks[name][self.count]
         empty_block(self._blocks, RECENT, bias, slack)
+        self._blocks["last"][RECENT] = 1.0, 0.0, 0.0, 0.0
         self._since[1] = self._mark()
 
     def _let_go_of_the_oldest(self) -> None:

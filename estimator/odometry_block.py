@@ -133,6 +133,16 @@ def extend_block(
 
 
 @compiled
+def bend_to(block: Any, heading: NDArray[np.float64], h: float) -> float:
+    """How far a BLOCK's last axis is from the heading of a later gyro node, at most; |b - reference| <= h."""
+    start, last = block.heading, block.last
+    tau = heading[1] - start[1]
+    alpha = heading[0] - start[0] + tau * block.reference
+    turned = abs(tau - last[2]) * h + abs(up(heading[2] - start[2]) - last[3])
+    return float(1.001 * (sqrt((cos(alpha) - last[0]) ** 2 + (sin(alpha) - last[1]) ** 2) + turned))
+
+
+@compiled
 def extend_two_blocks(
     k: int,
     other: int,

@@ -12,21 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.compiled import compiled
-from estimator.chaining import chain
+from estimator.chaining import Chain
 from estimator.fan import support
 from estimator.interval import down, mid, reach, up
-from estimator.odometry_block import Blocks
 
 SIDES = 64
-HALF = SIDES // 2
+HALF, QUARTER = SIDES // 2, SIDES // 4
 SIDE_STEP = 2.0 * pi / SIDES
 SIDE_EAST = np.array([cos(m * SIDE_STEP) for m in range(SIDES)])
 SIDE_NORTH = np.array([sin(m * SIDE_STEP) for m in range(SIDES)])
 SINES = np.array([sin(m * SIDE_STEP) for m in range(HALF)])
 ROUNDING = 1e-12
 """Relative: covers the directions' rounding and that of a few products, ten times."""
-WIDEST_M = 1e3
-"""A box wider than this is not worth a polygon."""
 
 
 @compiled
@@ -58,21 +55,11 @@ def cut_polygon(polygon: NDArray[np.float64], box: NDArray[np.float64]) -> bool:
     for m in range(HALF):
         if polygon[m] < -polygon[m + HALF]:
             return False
-    quarter = SIDES // 4
     slack = ROUNDING * size
     box[0, 0], box[0, 1] = max(box[0, 0], down(-polygon[HALF] - slack)), min(box[0, 1], up(polygon[0] + slack))
-    box[1, 0] = max(box[1, 0], down(-polygon[HALF + quarter] - slack))
-    box[1, 1] = min(box[1, 1], up(polygon[quarter] + slack))
+    box[1, 0] = max(box[1, 0], down(-polygon[HALF + QUARTER] - slack))
+    box[1, 1] = min(box[1, 1], up(polygon[QUARTER] + slack))
     return bool(box[0, 0] <= box[0, 1] and box[1, 0] <= box[1, 1])
-
-
-@compiled
-def cut_anew(polygon: NDArray[np.float64], known: bool, box: NDArray[np.float64]) -> bool:
-    """The part of polygon [SIDES] in box [2, 2], or all of the box if none is known; False where there is none."""
-    if not known:
-        polygon_of(box, polygon)
-    narrow = max(box[0, 1] - box[0, 0], box[1, 1] - box[1, 0]) < WIDEST_M
-    return narrow and cut_polygon(polygon, box.copy())
 
 
 @compiled
@@ -111,34 +98,26 @@ def by_two_sides(polygon: NDArray[np.float64], i: int, m: int, j: int) -> float:
 
 @compiled
 def moved_polygon(
-    polygon: NDArray[np.float64],
-    blocks: Blocks,
-    now_s: float,
-    quantum: float,
-    drift: float,
-    bias: NDArray[np.float64],
-    yaw: NDArray[np.float64],
-    out: NDArray[np.float64],
-) -> bool:
-    """out [SIDES] encloses where a point of polygon is after block 0 of the two; False where that is not known.
+    polygon: NDArray[np.float64], ways: Chain, first: float, last: float, out: NDArray[np.float64]
+) -> None:
+    """out [SIDES] encloses where a point of polygon is after the one way of `ways`, if yaw is in [first, last] now.
 
-    As in `chain`, with yaw [2] and bias [2] now; block 1 is now's, with no offsets in either. The way turned by the
-    yaw's half-width w as in `paving.fits` (SMF equation 23), for any direction in the place of the axes.
+    The way turned by the yaw's half-width w as in `paving.fits` (SMF equation 23), for any direction in the place of
+    the axes.
     """
-    ways = chain(1, blocks, now_s, quantum, bias[0], bias[1], drift)
-    if ways.oldest > 0:
-        return False
-    psi = mid((yaw[0], yaw[1]))
-    w = reach((yaw[0], yaw[1]), psi)
+    psi = mid((first, last))
+    w = reach((first, last), psi)
     c, s = cos(psi), sin(psi)
     kappa = min(0.5 * w * w, 2.0)
-    for m in range(SIDES):
-        # the direction, and the one across it, as seen along the newest heading
+    along, error = np.empty(HALF), np.empty(HALF)
+    for m in range(HALF):  # the direction as seen along the newest heading
         x, y = c * SIDE_EAST[m] + s * SIDE_NORTH[m], c * SIDE_NORTH[m] - s * SIDE_EAST[m]
-        along, across = x * ways.q[0, 0] + y * ways.q[0, 1], x * ways.q[0, 1] - y * ways.q[0, 0]
-        fan_along = abs(x * ways.slope[0, 0] + y * ways.slope[0, 1]) * ways.h + support(ways.fan[0], x, y)
-        fan_across = abs(x * ways.slope[0, 1] - y * ways.slope[0, 0]) * ways.h + support(ways.fan[0], -y, x)
-        rest = w * abs(across) + 0.5 * kappa * abs(along) + fan_along + w * fan_across
-        slack = ROUNDING * (abs(polygon[m]) + abs(along) + rest + 1.0)
-        out[m] = up(polygon[m] + (along * (1.0 - 0.5 * kappa) + rest + slack))
-    return True
+        along[m] = x * ways.q[0, 0] + y * ways.q[0, 1]
+        error[m] = abs(x * ways.slope[0, 0] + y * ways.slope[0, 1]) * ways.h + support(ways.fan[0], x, y)
+    for m in range(HALF):
+        across = (m + QUARTER) % HALF
+        way = along[m] * (1.0 - 0.5 * kappa)
+        rest = w * abs(along[across]) + 0.5 * kappa * abs(along[m]) + error[m] + w * error[across]
+        for side in range(m, SIDES, HALF):
+            slack = ROUNDING * (abs(polygon[side]) + abs(along[m]) + rest + 1.0)
+            out[side] = up(polygon[side] + ((way if side == m else -way) + rest + slack))

@@ -27,6 +27,8 @@ NO_EPOCH = -1
 MAP, EARTH, LOCAL = slice(0, 3), slice(3, 6), slice(6, 9)
 """Rows of what a step is followed with: in the map, on Earth (east, north, up), and along its own heading."""
 ANYWHERE_M = 1e8
+NO_AXIS = np.zeros(3)
+"""Of a step that no counts tell of: there the error of the last count is paid for, and the next one's begins."""
 
 
 class Step(NamedTuple):
@@ -139,8 +141,8 @@ class PositionChain:
         self.last_ticks = ticks
         self.ledger.step(ticks.stamp, left, right, counted, turning, time_high)
         self.window.extend(
-            self._core[LOCAL], self._axis[LOCAL], places.heading[i], self.quantum, attitude.bias[2],
-            int(turns.times[turns.newest, 1]) * 1e-9,
+            self._core[LOCAL], self._axis[LOCAL] if counted else NO_AXIS, places.heading[i], self.quantum,
+            attitude.bias[2], int(turns.times[turns.newest, 1]) * 1e-9,
         )  # fmt: skip
         return Step(a, b, self._swept, left, right, counted, time_high, turning, telescoped)
 

@@ -5,6 +5,7 @@ from math import cos, pi, sin
 import numpy as np
 import pytest
 
+from estimator.chaining import chain
 from estimator.fan import add_segment, support
 from estimator.odometry_block import BLOCK
 from estimator.place_polygon import SIDE_EAST, SIDE_NORTH, SIDES, cut_polygon, moved_polygon, polygon_of
@@ -72,7 +73,7 @@ def test_a_way_with_errors_at_their_bounds_stays_inside_and_along_it_nothing_is_
         box = np.array([[-0.02, 0.02], [-0.03, 0.03]])
         polygon_of(box, start)
         blocks["way"][0] = way, 0.0
-        assert moved_polygon(start, blocks, 0.0, 0.0, 0.0, np.zeros(2), yaw, out)
+        moved_polygon(start, chain(1, blocks, 0.0, 0.0, 0.0, 0.0, 0.0), yaw[0], yaw[1], out)
         local = np.array([way + 0.02 * random.choice([-1, 1]), 0.005 * random.choice([-1, 1])])
         c, s = cos(yaw_true), sin(yaw_true)
         from_ = np.array([random.choice(axis) for axis in box])
