@@ -112,6 +112,27 @@ def terminated_like_interrupted() -> Iterator[None]:
 
 
 @contextmanager
+def interrupted_later() -> Iterator[None]:
+    """SIGINT, SIGTERM and SIGHUP wait until the block is over: a process that has just begun must not be lost sight of.
+
+    For a moment. In another thread than the main one, which signals don't reach, nothing is done.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM, *_hangup())
+    before = {number: signal.signal(number, lambda number, frame: came.append(number)) for number in numbers}
+    try:
+        yield
+    finally:
+        for number in numbers:
+            signal.signal(number, before[number])
+        if came:
+            signal.raise_signal(came[0])
+
+
+@contextmanager
 def stop_on_signals(
     event: threading.Event | None = None, tell: Callable[[str], None] | None = None
 ) -> Iterator[threading.Event]:

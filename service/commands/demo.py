@@ -28,7 +28,7 @@ from service.commands.emulate import Law, Speed
 from service.commands.emulated import EmulatedRobot
 from service.commands.evaluation import draw_evaluation, evaluate, results_table
 from service.config import LoadedConfig, load
-from service.lifecycle import terminated_like_interrupted
+from service.lifecycle import interrupted_later, terminated_like_interrupted
 from service.loopback import free_locator
 from service.messages import write_pose
 from service.onboard import Onboard
@@ -99,7 +99,8 @@ def demo(
         )
         onboard.start()
         stack.callback(onboard.stop)
-        watcher = stack.enter_context(_Watcher(loaded.config.publish.listen[0], output))
+        with interrupted_later():
+            watcher = stack.enter_context(_Watcher(loaded.config.publish.listen[0], output))
         began = _drive(robot, onboard, console, duration)
         onboard.finish()
         elapsed_s = time.monotonic() - began

@@ -7,10 +7,12 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Literal
 
 from drivers.errors import TerraboundError
+from service.lifecycle import interrupted_later
 from simulator.truth import Truth
 
 START_TIMEOUT_S = 120.0
@@ -49,26 +51,22 @@ class EmulatedRobot:
             "--truth": self.truth_path,
         }
         options = [str(word) for pair in arguments.items() for word in pair]
+        self._command = [sys.executable, "-m", "service.cli", "emulate", "robot", *options, "--json-progress"]
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115  closed by __exit__
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "service.cli", "emulate", "robot", *options, "--json-progress"],
-            stdout=subprocess.PIPE,
-            stderr=self._errors,
-            bufsize=0,
-        )
 
     def __enter__(self) -> "EmulatedRobot":
-        """Wait until its ports are there."""
+        """Start it, and wait until its ports are there."""
         deadline = time.monotonic() + START_TIMEOUT_S
-        assert self._process.stdout is not None
-        try:
+        with ExitStack() as undone:  # also by Ctrl-C: nobody calls __exit__ then
+            with interrupted_later():
+                self._process = subprocess.Popen(self._command, stdout=subprocess.PIPE, stderr=self._errors, bufsize=0)
+                undone.callback(self.__exit__)
+            assert self._process.stdout is not None
             line = self._process.stdout.readline()  # "waiting": ports and clock stand
             if not line or time.monotonic() > deadline:
                 self._process.kill()
                 raise self._failed()
-        except BaseException:  # Ctrl-C too: nobody calls __exit__ then
-            self.__exit__()
-            raise
+            undone.pop_all()
         return self
 
     def __exit__(self, *_: object) -> None:

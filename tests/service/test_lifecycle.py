@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from service.lifecycle import ServiceNotifier, stop_on_signals, terminated_like_interrupted
+from service.lifecycle import ServiceNotifier, interrupted_later, stop_on_signals, terminated_like_interrupted
 
 
 class FakeSystemd:
@@ -122,6 +122,16 @@ def test_a_command_without_an_end_of_its_own_is_interrupted(number: signal.Signa
     with pytest.raises(KeyboardInterrupt), terminated_like_interrupted():
         os.kill(os.getpid(), number)
     assert signal.getsignal(number) is before
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_what_must_not_be_interrupted_is_finished_first(number: signal.Signals) -> None:
+    """A process that has just begun is known to whoever must end it, before the interrupt is heard."""
+    begun = []
+    with pytest.raises(KeyboardInterrupt), terminated_like_interrupted(), interrupted_later():  # noqa: PT012
+        os.kill(os.getpid(), number)
+        begun.append("a process")
+    assert begun == ["a process"]
 
 
 def on_its_terminal(program: str, *arguments: str) -> tuple[subprocess.Popen[bytes], int]:
