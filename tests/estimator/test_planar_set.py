@@ -99,6 +99,7 @@ def test_a_step_of_both_at_once_is_the_step_of_each(known: tuple[bool, bool], ha
         assert outcomes == sum(ABSENT << (BITS * frame) for frame in ps.FRAMES if not known[frame])
         for one, other in zip(at_once.state(), in_turn.state(), strict=True):
             np.testing.assert_array_equal(one, other)
+        assert at_once.sets.fresh.tolist() == [not there for there in known]
 
 
 def test_what_stands_in_the_way_of_a_step_is_told_of_each_set() -> None:
