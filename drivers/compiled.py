@@ -50,8 +50,8 @@ def compiled_into_callers(function: F) -> F:
 
 
 def plain_or_compiled(function: F) -> F:
-    """Plain Python to Python, a part of the machine code of compiled callers: for what gives parts of an array."""
-    return register_jitable(error_model="numpy", **_BARE)(function)
+    """Plain Python to Python, written into the code of compiled callers: for what gives parts of an array."""
+    return register_jitable(inline="always")(function)
 
 
 def only_as_compiled(function: Callable[..., Any]) -> None:
