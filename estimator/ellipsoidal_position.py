@@ -232,7 +232,7 @@ class EllipsoidalPosition(PositionChain):
         around = turns.before(int(self.tube.times[here, 0]))
         if around < turns.begin:
             return
-        slack = self.turned_around(around)
+        slack = up(self.turned_around(around) + self.tracks.slip * self.quantum)
         ahead = relative_yaw(turns.heading[turns.newest], turns.heading[node], bias)
         for frame in FRAMES:
             yaw, newest = turns.box[node, YAWS[frame]], turns.box[turns.newest, YAWS[frame]]

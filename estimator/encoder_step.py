@@ -13,7 +13,7 @@ from estimator.motion import (
     aged_bias,
     relative_yaw_between,
 )
-from estimator.tracks import travel_in_all_frames
+from estimator.tracks import slipping, travel_in_all_frames
 from estimator.tube import first_not_before, hull_between, last_not_after, put_in_order
 
 
@@ -49,17 +49,20 @@ def encoder_step(
     core: NDArray[np.float64],
     axis: NDArray[np.float64],
     pending: NDArray[np.float64],
-) -> tuple[int, int, bool, bool, float, float, float, int]:
+    running: NDArray[np.bool_],
+) -> tuple[int, int, bool, bool, float, float, float, float, int]:
     """travel: node i of the places [begin, i), at the true time of a reading in [earliest_ns, latest_ns].
 
     left, right: of the tracks since the reading before, in metres (`counted` False: unknown, the counter restarted;
     `fresh`: it had at that one). The turns are the nodes [turn_begin, turn_end) of the attitude chain, drift and
     most_rate their GyroBounds'; `tracks` are TrackBounds as a plain tuple, which is handed over four times as fast.
     Writes the attitude [4, 2] over the step (roll, pitch, yaw in the map, yaw on Earth), and goes on with core [9, 2],
-    axis [9] and pending [9] (tracks.travel) and with turned_until, the effort at the gyro node after the reading.
+    axis [9] and pending [9] (tracks.travel), running [2] (tracks.slipping) and with turned_until, the effort at the
+    gyro node after the reading.
 
     Returns the gyro nodes before and after the step; did the history reach so far back; did the tracks run no faster
-    than the robot can (else they are taken as not counted); seconds of the step, at most; variation of the yaw rate's
+    than the robot can (else they are taken as not counted); what they slip in proportion to; seconds of the step, at
+    most; variation of the yaw rate's
     integral, and the one that telescopes (tracks.travel's turning and turning_telescoped); turned_until.
     """
     bounds = TrackBounds(*tracks)
@@ -79,21 +82,24 @@ def encoder_step(
         attitude[:2, 0], attitude[:2, 1] = -UNKNOWN_TILT, UNKNOWN_TILT
         attitude[2:, 0], attitude[2:, 1] = -UNKNOWN_YAW, UNKNOWN_YAW
         telescoped = up(turning + telescoped)
+    slid = slipping(left, right, turning, time_high, bounds, running) if counted else 0.0
     sound = travel_in_all_frames(
-        attitude, local_yaw, left, right, counted, time_high, turning, telescoped, bounds, axis, fresh, core, pending,
-        net[i], local[i], swing[i],
+        attitude, local_yaw, left, right, counted, slid, time_high, turning, telescoped, bounds, axis, fresh, core,
+        pending, net[i], local[i], swing[i],
     )  # fmt: skip
     if not sound:
         travel_in_all_frames(
-            attitude, local_yaw, left, right, False, time_high, turning, telescoped, bounds, axis, fresh, core, pending,
-            net[i], local[i], swing[i],
+            attitude, local_yaw, left, right, False, slid, time_high, turning, telescoped, bounds, axis, fresh, core,
+            pending, net[i], local[i], swing[i],
         )  # fmt: skip
+    if not (sound and counted):
+        running[0] = running[1] = False
     put_in_order(times, begin, i, earliest_ns, latest_ns)
     for c in range(3):
         heading[i, c] = turn_heading[a, c]
     for c in range(6):
         box[i, c, 0], box[i, c, 1] = widen((core[c, 0], core[c, 1]), pending[c])  # what is still to come undone
-    return a, b, remembered, sound, time_high, turning, telescoped, until
+    return a, b, remembered, sound, slid, time_high, turning, telescoped, until
 
 
 @compiled_bare

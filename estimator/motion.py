@@ -102,11 +102,17 @@ def variation(net: Interval, error: float, most_acceleration: float, time: float
     loose: u may differ from a rate with that bound by up to loose / T, and jump. Where it vanishes the other is at most
     loose / T, so that |net| <= a T^2 / 2 + 2 loose; and either area is larger than the other's by `loose` at most.
     """
-    square = up(up(most_acceleration * time) * time)
     total = up(mag(net) + error)
-    if down(mig(net) - error) <= 0.5 * square + 2.0 * loose:
-        total = up(total + (0.25 * square + 2.0 * loose))
+    if not runs_one_way(net, error, most_acceleration, time, loose):
+        total = up(total + (0.25 * up(up(most_acceleration * time) * time) + 2.0 * loose))
     return total
+
+
+@compiled_bare
+def runs_one_way(net: Interval, error: float, most_acceleration: float, time: float, loose: float = 0.0) -> bool:
+    """Is that u sure not to vanish, not even at either end?"""
+    square = up(up(most_acceleration * time) * time)
+    return down(mig(net) - error) > 0.5 * square + 2.0 * loose
 
 
 @compiled_bare

@@ -68,6 +68,7 @@ def planar_step(
     left: float,
     right: float,
     counted: bool,
+    slid: float,
     time_high: float,
     turning: float,
     telescoped: float,
@@ -102,7 +103,7 @@ def planar_step(
         biases, drift,
     )  # fmt: skip
     tracks = TrackBounds(*bounds)
-    way = tracked(left, right, counted, turning, time_high, tracks)
+    way = tracked(left, right, counted, slid, time_high, tracks)
     heading = turned_so(headings, swing, before, start, after, bias, aged)
     tilt = tilted((attitude[0, 0], attitude[0, 1]), (attitude[1, 0], attitude[1, 1]))
     sideways = up(up(tracks.lateral * way.path) + up(tracks.turning_centre * telescoped))

@@ -20,6 +20,7 @@ from estimator.interval import meet, up, widen
 from estimator.motion import QUANTUM, TrackBounds
 from estimator.relaxed_window import RelaxedWindow
 from estimator.slip_ledger import SlipLedger
+from estimator.tracks import telescoping_quantum
 from estimator.tube import Tube
 
 NO_EPOCH = -1
@@ -45,6 +46,8 @@ class Step(NamedTuple):
     """Travel of the tracks in metres;"""
     counted: bool
     """... if the counter didn't restart."""
+    slid: float
+    """What they slip in proportion to, both together (tracks.slipping)."""
     time_high: float
     """Seconds, at most."""
     turning: float
@@ -81,8 +84,8 @@ class PositionChain:
             turning_spread=up(0.25 * (most_gauge - least_gauge) / not_slipping),
             most_turn_acceleration=attitude.gyro.most_acceleration,
         )
-        self.quantum = up(0.5 * up(self.tracks.quantum_left + self.tracks.quantum_right))
-        """How far the mean of two differences of counts is off, in metres."""
+        self.quantum = telescoping_quantum(self.tracks)
+        """How far the mean of two differences of counts is off, in metres, and the slip for that reason."""
         self._left_m, self._right_m = encoders.left_metres_per_tick, encoders.right_metres_per_tick
         self._attitude = attitude
         self._journal = journal
@@ -96,6 +99,7 @@ class PositionChain:
         self._axis, self._pending = np.zeros(9), np.zeros(9)
         self._swept = np.zeros((4, 2))
         """Attitudes of the step."""
+        self._running = np.zeros(2, np.bool_)  # see tracks.slipping
         self._fresh_count = True
         self._turned_until = 0  # effort of the gyro node after the newest reading
 
@@ -112,7 +116,7 @@ class PositionChain:
         self._core[MAP] = -slack, slack
         self._core[EARTH] = -ANYWHERE_M, ANYWHERE_M
         self.last_ticks = ticks
-        self.ledger.step(ticks.stamp, 0.0, 0.0, False, 0.0, 0.0)
+        self.ledger.step(ticks.stamp, 0.0, 0.0, False, 0.0, 0.0, 0.0)
         return True
 
     def predict(self, ticks: WheelTicks) -> Step:
@@ -123,12 +127,12 @@ class PositionChain:
         counted = ticks.epoch == last.epoch
         left = (ticks.left - last.left) * self._left_m if counted else nan
         right = (ticks.right - last.right) * self._right_m if counted else nan
-        a, b, remembered, sound, time_high, turning, telescoped, self._turned_until = encoder_step(
+        a, b, remembered, sound, slid, time_high, turning, telescoped, self._turned_until = encoder_step(
             i, places.begin, ticks.stamp.earliest_ns, ticks.stamp.latest_ns, left, right, counted, self._fresh_count,
             self._turned_until, tuple(self.tracks), turns.begin, turns.end, turns.times, turns.box, turns.swing,
             turns.heading, turns.effort, attitude.bias, attitude.gyro.bias_drift, attitude.gyro.most_rate,
             places.times, places.box, places.swing, places.net, places.local, places.heading, self._swept, self._core,
-            self._axis, self._pending,
+            self._axis, self._pending, self._running,
         )  # fmt: skip
         places.end = i + 1
         if not remembered:
@@ -139,12 +143,12 @@ class PositionChain:
             counted = False
         self._fresh_count = not counted
         self.last_ticks = ticks
-        self.ledger.step(ticks.stamp, left, right, counted, turning, time_high)
+        self.ledger.step(ticks.stamp, left, right, counted, slid, turning, time_high)
         self.window.extend(
             self._core[LOCAL], self._axis[LOCAL] if counted else NO_AXIS, places.heading[i], self.quantum,
             attitude.bias[2], int(turns.times[turns.newest, 1]) * 1e-9,
         )  # fmt: skip
-        return Step(a, b, self._swept, left, right, counted, time_high, turning, telescoped)
+        return Step(a, b, self._swept, left, right, counted, slid, time_high, turning, telescoped)
 
     def contract(self, narrowed: NDArray[np.float64], yaws: NDArray[np.float64]) -> bool:
         """The newest place is in narrowed [6, 2], the newest yaws in [2, 2]; False, and all stays, if that can't be."""

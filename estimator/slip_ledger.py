@@ -7,10 +7,11 @@ x = (T_R - T_L - gauge * turn) / 2 and m = (δ_L + δ_R) / 2, the slip of the mi
     |m|  <=  (r_L + r_R) / 2 - | |x| - |r_L - r_R| / 2 |.
 
 Over many steps the slips of the middle add up to no more than their bounds less the *credit*,
-|sum x| - sum |r_L - r_R| / 2. Tracks that slip alike earn none; where they slip by their bounds to opposite sides,
-nothing is left of the slip's error. Only sums count, so the error of the counts enters once. The gauge may change from
-one instant to the next within [gauge] = c ± w: the integral of gauge times turn is then c times the whole turn, ± w
-times how much was turned to and fro.
+|sum x| - sum |r_L - r_R| / 2; where less than these bounds is paid for (tracks.slipping), the credit is less by as
+much. Tracks that slip alike earn none; where they slip by their bounds to opposite sides, nothing is left of the slip's
+error. Only sums count, so the error of the counts enters once. The gauge may change from one instant to the next within
+[gauge] = c ± w: the integral of gauge times turn is then c times the whole turn, ± w times how much was turned to and
+fro.
 """
 
 from typing import NamedTuple
@@ -34,7 +35,8 @@ class Mark(NamedTuple):
 
     stamp: Stamp
     sums: NDArray[np.float64]
-    """[4] travel of the left and of the right track, sum |r_L - r_R| / 2, and how often no stretch may reach over."""
+    """[4] travel of the left and of the right track, sum |r_L - r_R| / 2 and of what isn't paid for of the bounds
+    (tracks.slipping), and how often no stretch may reach over."""
 
 
 class SlipLedger:
@@ -47,11 +49,13 @@ class SlipLedger:
         self._stamp: Stamp | None = None
         self._sums = np.zeros(4)
 
-    def step(self, stamp: Stamp, left: float, right: float, counted: bool, turning: float, time_high: float) -> None:
+    def step(
+        self, stamp: Stamp, left: float, right: float, counted: bool, slid: float, turning: float, time_high: float
+    ) -> None:
         """A count further; not `counted`, or nearly as fast as the robot can: a stretch can't reach over it."""
         self._stamp = stamp
         if self._gauge is not None:
-            enter(self._sums, left, right, counted, turning, time_high, self._bounds)
+            enter(self._sums, left, right, counted, slid, turning, time_high, self._bounds)
 
     def mark(self) -> Mark | None:
         """A stretch begins at the newest count."""
@@ -90,6 +94,7 @@ def enter(
     left: float,
     right: float,
     counted: bool,
+    slid: float,
     turning: float,
     time_high: float,
     tracks: tuple[float, ...],
@@ -104,4 +109,4 @@ def enter(
         sums[BREAKS] += 1.0
     sums[0] += left
     sums[1] += right
-    sums[2] += up(up(0.5 * bounds.slip) * up(abs(a - b)))
+    sums[2] += up(up(0.5 * bounds.slip) * up(up(abs(a - b)) + up(max(0.0, up(a + b) - slid))))

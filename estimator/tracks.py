@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from drivers.compiled import compiled_bare, compiled_into_callers
 from estimator.frames import Box3, columns, columns_at, largest, tilted
 from estimator.interval import Interval, add, is_empty, meet, mid, mig, outward, reach, scale, up, widen
-from estimator.motion import TrackBounds, variation
+from estimator.motion import TrackBounds, runs_one_way, variation
 
 
 @compiled_bare
@@ -25,11 +25,11 @@ class Tracked(NamedTuple):
     """What the tracks say of a step."""
 
     distance: Interval
-    """Integral of the speed along the tracks, but for the counts' errors; empty: faster than the robot can."""
+    """Integral of the speed along the tracks, but for what telescopes; empty: faster than the robot can."""
     path: float
     """Integral of |speed|."""
     quantum: float
-    """How far a difference of two counts is off, in metres;"""
+    """How much telescopes between two counts, in metres;"""
     counted: bool
     """... if both were counted."""
 
@@ -42,27 +42,65 @@ def to_and_fro(left: float, right: float, turning: float, time_high: float, boun
     than that divided by 1 - slip. v and ω change as fast as declared, the gauge (if it has a range) at once: by what
     that can do, |ω| times half of it, the speed is `loose`. turning: no less than the integral of |ω| meanwhile.
     """
-    jerk = up(0.5 * up(up(bounds.most_turn_acceleration * time_high) * time_high))
-    loose = up(bounds.turning_spread * up(turning + jerk))
+    loose, a = loosely(turning, time_high, bounds), bounds.most_track_acceleration
     return (
-        variation((left, left), bounds.quantum_left, bounds.most_track_acceleration, time_high, loose),
-        variation((right, right), bounds.quantum_right, bounds.most_track_acceleration, time_high, loose),
+        variation((left, left), bounds.quantum_left, a, time_high, loose),
+        variation((right, right), bounds.quantum_right, a, time_high, loose),
     )
 
 
 @compiled_bare
-def tracked(left: float, right: float, counted: bool, turning: float, time_high: float, bounds: TrackBounds) -> Tracked:
-    """From the tracks' travel in metres between two counts (not `counted`: unknown, the counter restarted)."""
-    q = up(0.5 * up(bounds.quantum_left + bounds.quantum_right))
+def loosely(turning: float, time_high: float, bounds: TrackBounds) -> float:
+    """See to_and_fro."""
+    jerk = up(0.5 * up(up(bounds.most_turn_acceleration * time_high) * time_high))
+    return up(bounds.turning_spread * up(turning + jerk))
+
+
+@compiled_bare
+def slipping(
+    left: float,
+    right: float,
+    turning: float,
+    time_high: float,
+    bounds: TrackBounds,
+    running: NDArray[np.bool_],
+) -> float:
+    """What both tracks together slip in proportion to, between two counts: `to_and_fro`, but for what telescopes.
+
+    A track that runs one way all the time runs what was counted, and the difference of two counts' errors; and while it
+    goes on so, these differences come to one quantum in all, however the slip changes. So the first step of such a run
+    pays for it, and those after it don't. running [2]: did the tracks run one way in the step before? Goes on.
+    """
+    loose, total = loosely(turning, time_high, bounds), 0.0
+    for track in range(2):
+        ran, q = (left, bounds.quantum_left) if track == 0 else (right, bounds.quantum_right)
+        runs = runs_one_way((ran, ran), q, bounds.most_track_acceleration, time_high, loose)
+        way = variation((ran, ran), q, bounds.most_track_acceleration, time_high, loose)
+        total = up(total + (abs(ran) if runs and running[track] else way))
+        running[track] = runs
+    return total
+
+
+@compiled_bare
+def tracked(left: float, right: float, counted: bool, slid: float, time_high: float, bounds: TrackBounds) -> Tracked:
+    """From the tracks' travel in metres between two counts (not `counted`: unknown, the counter restarted).
+
+    slid: what they slip in proportion to (`slipping`).
+    """
+    q = telescoping_quantum(bounds)
     most = up(bounds.most_speed * time_high)
     if not counted:
         return Tracked((-most, most), most, q, False)
-    left_way, right_way = to_and_fro(left, right, turning, time_high, bounds)
-    slip = up(left_way + right_way)
     d = scale(0.5, add(outward(left, left), outward(right, right)))
-    distance = meet(widen(d, up(up(0.5 * bounds.slip) * slip)), (-up(most + q), up(most + q)))
+    distance = meet(widen(d, up(up(0.5 * bounds.slip) * slid)), (-up(most + q), up(most + q)))
     path = min(variation(distance, q, bounds.most_acceleration, time_high), most)
     return Tracked(distance, path, q, True)
+
+
+@compiled_bare
+def telescoping_quantum(bounds: TrackBounds) -> float:
+    """How far the mean of two differences of counts is off, in metres, and what these differences add to the slip."""
+    return up(up(0.5 * up(bounds.quantum_left + bounds.quantum_right)) * up(1.0 + bounds.slip))
 
 
 @compiled_bare
@@ -71,6 +109,7 @@ def travel(
     left: float,
     right: float,
     counted: bool,
+    slid: float,
     time_high: float,
     turning: float,
     turning_telescoped: float,
@@ -87,11 +126,15 @@ def travel(
     attitude [3, 2] holds over the whole step; left, right are the tracks' travel in metres between the counts
     (`counted` False: unknown, the counter restarted); the step lasts at most time_high seconds.
 
-    Two errors must not add up step by step, because they telescope: a difference of *any* two counts is off by at
-    most q = (quantum_left + quantum_right) / 2, and the turning between *any* two readings is known on the gyro's
-    clock. So `core` [3, 2] is a box for p minus what is still to come: p_n in core_k + steps k..n-1 + pending_n.
+    Three errors must not add up step by step, because they telescope: a difference of *any* two counts is off by at
+    most q = (quantum_left + quantum_right) / 2, the slip by at most slip q for that reason (`slid`: see `slipping`; in
+    what follows q stands for both), and the turning between *any* two readings is known on the gyro's clock. So `core`
+    [3, 2] is a box for p minus what is still to come: p_n in core_k + steps k..n-1 + pending_n.
     - With e_k the count's error at reading k and c_k the middle of the step's forward axis, sums by parts give
       sum c_k (e_{k+1} - e_k) = c_{n-1} e_n - sum e_k (c_k - c_{k-1}): q |c_k - c_{k-1}| a step, q |c| pending.
+    - A track that runs one way slips by |δ_k| <= slip (counted_k + e_{k+1} - e_k). Count e from the upper end of its
+      range: where a set held p - c e and what is slip |e_k| ahead and behind it, the set that is moved by up to slip
+      counted_k holds the same of k + 1. Only the beginning of such a run, and each measurement that cuts, cost slip q.
     - `turning_telescoped` is the variation of ω_z from the gyro node after reading k to the one after k+1, `turning`
       the one that surely covers the step alone.
 
@@ -99,7 +142,7 @@ def travel(
     net [3, 2] encloses the step's displacement alone; swing [3] as in `turn`; pending [3] becomes q |c_k|. False, and
     nothing written, if the tracks ran faster than the robot can.
     """
-    way = tracked(left, right, counted, turning, time_high, bounds)
+    way = tracked(left, right, counted, slid, time_high, bounds)
     if is_empty(way.distance):
         return False
     axes = columns(attitude_box(attitude))
@@ -152,6 +195,7 @@ def travel_in_all_frames(
     left: float,
     right: float,
     counted: bool,
+    slid: float,
     time_high: float,
     turning: float,
     turning_telescoped: float,
@@ -169,7 +213,7 @@ def travel_in_all_frames(
     attitude [4, 2]: roll, pitch, yaw in the map, yaw on Earth. In the local frame the step stands alone. net [3, 2] is
     that in the map, local [3, 3] low, high and swing along its heading, swing [6] in the map and on Earth.
     """
-    way = tracked(left, right, counted, turning, time_high, bounds)
+    way = tracked(left, right, counted, slid, time_high, bounds)
     if is_empty(way.distance):
         return False
     tilt = tilted((attitude[0, 0], attitude[0, 1]), (attitude[1, 0], attitude[1, 1]))

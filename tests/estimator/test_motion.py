@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from estimator.frames import columns
 from estimator.motion import GyroBounds, TrackBounds, excursion, rotate, turn, variation
-from estimator.tracks import tracked, travel
+from estimator.tracks import slipping, to_and_fro, tracked, travel
 
 STEPS = 400
 """Substeps of the brute-force integration."""
@@ -156,6 +156,7 @@ def test_travel_encloses_drives_with_slip_and_quantised_counts(reverse: bool) ->
         sign = random.choice([-1.0, 1.0], 6)
         core, axis, pending = np.zeros((3, 2)), np.zeros(3), np.zeros(3)
         net, swing, true, track = np.empty((3, 2)), np.empty(3), np.zeros(3), np.zeros(2)
+        running = np.zeros(2, np.bool_)
         phase = random.random(2)
         counts = np.floor(track / 0.001 + phase)
         attitude = np.append(random.uniform(-0.4, 0.4, 2), random.uniform(-3, 3))
@@ -174,8 +175,9 @@ def test_travel_encloses_drives_with_slip_and_quantised_counts(reverse: bool) ->
             after = np.floor(track / 0.001 + phase)
             left_m, right_m = (after - counts) * 0.001
             counts = after
+            slid = slipping(left_m, right_m, abs(wz) * time, time, TRACKS, running)
             assert travel(
-                box, left_m, right_m, True, time, abs(wz) * time, abs(wz) * time, TRACKS, axis, k == 0, core, net,
+                box, left_m, right_m, True, slid, time, abs(wz) * time, abs(wz) * time, TRACKS, axis, k == 0, core, net,
                 swing, pending,
             )  # fmt: skip
             assert np.all(core[:, 0] - pending <= true + 1e-9)
@@ -184,10 +186,32 @@ def test_travel_encloses_drives_with_slip_and_quantised_counts(reverse: bool) ->
     assert np.median(widths) < count * 0.002  # a quantum at every step would cost as much alone
 
 
+def test_the_counts_errors_make_the_slip_larger_once_in_a_run_not_at_every_step() -> None:
+    """Counts off by a quantum or not at every reading, runs ahead and back with stops: no stretch ran farther."""
+    random, q, time = np.random.default_rng(6), 0.001, 0.02
+    bounds = TRACKS._replace(quantum_left=q, quantum_right=q)
+    for _ in range(300):
+        running, off = np.zeros(2, np.bool_), random.choice([0.0, q], 2)
+        ran, slid, way = [0.0], [0.0], random.choice([-1.0, 1.0]) * 0.02
+        for _ in range(40):
+            way = 0.0 if random.random() < 0.1 else (way or float(random.choice([-1.0, 1.0]) * 0.02))
+            true = way * random.uniform(0.5, 1.0, 2)
+            before, off = off, random.choice([0.0, q], 2)
+            left, right = true - (off - before)
+            ran.append(ran[-1] + float(np.abs(true).sum()))
+            slid.append(slid[-1] + slipping(left, right, 0.0, time, bounds, running))
+        farther = np.array(ran) - np.array(slid)
+        # whichever stretch: what it ran beyond what is paid for is a quantum of each track, paid for at its end
+        assert max(float((farther[k:] - farther[k]).max()) for k in range(len(farther))) <= 2.0 * q + 1e-12
+        assert farther[1:].max() <= 1e-12  # from the beginning of a run on nothing at all
+
+
 @pytest.mark.parametrize("turn_m", [0.05, -0.05])
 def test_tracks_that_run_against_each_other_slip_each_by_their_own_way(turn_m: float) -> None:
     """On the spot the mean of the counts is zero, but not that of the slips: the robot may creep ahead or back."""
-    held = tracked(-turn_m, turn_m, True, 2.0 * turn_m / 0.35, 0.1, TRACKS).distance
+    held = tracked(
+        -turn_m, turn_m, True, sum(to_and_fro(-turn_m, turn_m, 2.0 * turn_m / 0.35, 0.1, TRACKS)), 0.1, TRACKS
+    ).distance
     for left in (-1.0, 1.0):
         for right in (-1.0, 1.0):
             crept = 0.5 * (-turn_m * (1.0 + left * TRACKS.slip) + turn_m * (1.0 + right * TRACKS.slip))
@@ -211,8 +235,12 @@ def test_tracks_whose_turning_centres_jump_slip_by_no_more_than_is_allowed_for()
         ground = speed + rate * 0.5 * np.outer((-1.0, 1.0), gauge)
         ran = ground / (1.0 + slip * random.choice([-1.0, 1.0]) * np.sign(ground))
         left, right = (ran.sum(axis=1) * time / substeps).tolist()
-        held = tracked(left, right, True, abs(rate) * time, time, tracks).distance
+
+        def way(tracks: TrackBounds, left: float = left, right: float = right, rate: float = rate) -> float:
+            return sum(to_and_fro(left, right, abs(rate) * time, time, tracks))
+
+        held = tracked(left, right, True, way(tracks), time, tracks).distance
         assert held[0] <= speed * time <= held[1]
-        held = tracked(left, right, True, abs(rate) * time, time, tracks._replace(turning_spread=0.0)).distance
+        held = tracked(left, right, True, way(tracks._replace(turning_spread=0.0)), time, tracks).distance
         outside += not held[0] <= speed * time <= held[1]
     assert outside > 100  # as if the centres stood still

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 NODES, MS = 8, 1_000_000
 BEFORE, START, AFTER = 2, 3, 6
 TRACKS = TrackBounds(0.03, 0.01, 0.04, 0.01, 1e-3, 1e-3, 1.2, 1.0, 2.0, 0.001, 7.0)
-DRIFT, TELESCOPED, TURNING, TIME_HIGH = 1e-5, 0.012, 0.02, 0.021
+DRIFT, TELESCOPED, TURNING, TIME_HIGH, SLID = 1e-5, 0.012, 0.02, 0.021, 0.05
 
 
 class Step:
@@ -46,9 +46,9 @@ class Step:
         sets, efforts = self.sets, (int(self.effort[START, 2]), int(self.effort[AFTER, 2]))
         return ps.planar_step(
             sets.rows, sets.kept, sets.known, sets.fresh, False, BEFORE, AFTER, self.attitude, self.left, self.right,
-            True, TIME_HIGH, TURNING, TELESCOPED, tuple(TRACKS), turned_until or efforts[0], efforts[1], self.times,
-            self.turns, self.swing, self.heading, self.effort, 0, NODES, self.biases, DRIFT, self.place_times,
-            self.places, 2, self.core, self.pending,
+            True, SLID, TIME_HIGH, TURNING, TELESCOPED, tuple(TRACKS), turned_until or efforts[0], efforts[1],
+            self.times, self.turns, self.swing, self.heading, self.effort, 0, NODES, self.biases, DRIFT,
+            self.place_times, self.places, 2, self.core, self.pending,
         )  # fmt: skip
 
     def take_one(self, frame: int) -> None:
@@ -59,7 +59,7 @@ class Step:
         change, slope, error = self.heading[AFTER] - self.heading[START]
         error = up(up(abs(error)) + up(2.0**-52 * (abs(change) + abs(slope) * max(abs(bias[0]), abs(bias[1])))))
         inside = relative_yaw_between(self.heading, self.swing, BEFORE, AFTER, self.heading[START], bias)
-        way = tracked(self.left, self.right, True, TURNING, TIME_HIGH, TRACKS)
+        way = tracked(self.left, self.right, True, SLID, TIME_HIGH, TRACKS)
         roll, pitch = ((float(low), float(high)) for low, high in self.attitude[:2])
         e, kept = stored(self.sets.rows[frame]), self.sets.kept[frame]
         travel_ellipsoid(

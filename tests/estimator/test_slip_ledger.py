@@ -13,6 +13,7 @@ from estimator.config import FilterConfig
 from estimator.inconsistency import Journal
 from estimator.motion import TrackBounds
 from estimator.slip_ledger import Mark, SlipLedger
+from estimator.tracks import to_and_fro
 
 STEP_NS, STEP_S = 20_000_000, 0.02
 ROBOT, DEVICES = declared()
@@ -49,7 +50,8 @@ def drive(law: str, seed: int, gauge_m: tuple[float, float] | None = (0.35, 0.35
         ran = ran + run
         count = np.array([floor(way / TICK_M) for way in ran]) * TICK_M
         left, right = (count - counted).tolist()
-        ledger.step(stamp, left, right, k > 0, abs(turning) * STEP_S, STEP_S)
+        slid = sum(to_and_fro(left, right, abs(turning) * STEP_S, STEP_S, TRACKS))
+        ledger.step(stamp, left, right, k > 0, slid, abs(turning) * STEP_S, STEP_S)
         if since is not None:
             slipped += speed * STEP_S - 0.5 * float(run.sum())
             bound += 0.5 * ROBOT.slip_ratio * float(np.abs(count - counted).sum() + 2.0 * TICK_M)

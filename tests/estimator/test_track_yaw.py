@@ -42,7 +42,7 @@ def contradictions(centres_m: tuple[float, float], gauge_m: tuple[float, float])
         count = np.array([floor(way / TICK_M) for way in ran]) * TICK_M
         left, right = (count - counted).tolist()
         counted = count
-        tracks.watch(stamp, Step(0, 0, np.zeros((4, 2)), left, right, k > 0, STEP_S, abs(turning) * STEP_S, 0.0))
+        tracks.watch(stamp, Step(0, 0, np.zeros((4, 2)), left, right, k > 0, 0.0, STEP_S, abs(turning) * STEP_S, 0.0))
     assert attitude.level
     return sum(count for name, count in counts.items() if name.startswith("contradiction"))
 
