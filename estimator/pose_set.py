@@ -171,6 +171,7 @@ class PoseSet:
         self._standstill.watch(ticks)
         if self._position.last_ticks is not ticks:
             step = self._position.predict(ticks)
+            self._position.stay_in_reach(step.counted)
             self._speed_change.watch(ticks.stamp, step)
             self._track_yaw.watch(ticks.stamp, step)
 

@@ -100,6 +100,8 @@ class PositionChain:
         self._swept = np.zeros((4, 2))
         """Attitudes of the step."""
         self._running = np.zeros(2, np.bool_)  # see tracks.slipping
+        self._lost_at: tuple[int, NDArray[np.float64]] | None = None
+        """While counts tell of no step: the earliest time of the last reading that one told of, and its box."""
         self._fresh_count = True
         self._turned_until = 0  # effort of the gyro node after the newest reading
 
@@ -150,6 +152,34 @@ class PositionChain:
         )  # fmt: skip
         return Step(a, b, self._swept, left, right, counted, slid, time_high, turning, telescoped)
 
+    def stay_in_reach(self, counted: bool) -> None:
+        """Steps that no counts tell of, one after the other, lead no farther than their time in all allows.
+
+        Each alone may be as long as its stamps are wide: many readings that were read late, at once, would add up to
+        many times the way that the robot can have come.
+        """
+        places, turns, here = self.tube, self._attitude.tube, self.tube.newest
+        if counted or (self._lost_at is None and here - 1 < places.begin):
+            self._lost_at = None
+        elif self._lost_at is None:
+            self._lost_at = int(places.times[here - 1, 0]), places.box[here - 1].copy()
+        else:
+            began_ns, before = self._lost_at
+            ended_ns = int(places.times[here, 1])
+            seconds = up((ended_ns - began_ns) * 1e-9)
+            a, b = turns.before(began_ns), turns.after(ended_ns)
+            turned = up(self._attitude.gyro.most_rate * seconds)
+            if a >= turns.begin and b < turns.end:
+                turned = min(turned, up(int(turns.effort[b, 2] - turns.effort[a, 2]) * QUANTUM))
+            ahead = up(self.tracks.most_speed * seconds)
+            way = up(ahead * up(up(1.0 + self.tracks.lateral) + self.tracks.normal))
+            way = up(way + up(self.tracks.turning_centre * turned))
+            box = places.box[here]
+            low = np.maximum(box[:, 0], np.nextafter(before[:, 0] - way, -np.inf))
+            high = np.minimum(box[:, 1], np.nextafter(before[:, 1] + way, np.inf))
+            if np.all(low <= high) and (np.any(low > box[:, 0]) or np.any(high < box[:, 1])):
+                self.contract(np.stack([low, high], axis=1), turns.box[turns.newest, MAP_YAW:].copy())
+
     def contract(self, narrowed: NDArray[np.float64], yaws: NDArray[np.float64]) -> bool:
         """The newest place is in narrowed [6, 2], the newest yaws in [2, 2]; False, and all stays, if that can't be."""
         self._core[:] = self._foreseen(narrowed)
@@ -182,7 +212,7 @@ class PositionChain:
         box = self.tube.box[self.tube.newest]
         self._core[:6, 0] = np.nextafter(box[:, 0] - slack, -np.inf)
         self._core[:6, 1] = np.nextafter(box[:, 1] + slack, np.inf)
-        self._fresh_count = True
+        self._fresh_count, self._lost_at = True, None
 
     def remember(self) -> None:
         """Keep the fix last given to the window, if the way since the one before is long enough."""

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from bench.fault_drive import declared
 from drivers.config import ImuConfig
 from drivers.samples import InertialSample, Stamp, Vector3, WheelTicks
-from estimator.config import FilterConfig
+from estimator.config import FilterConfig, SetName
 from estimator.filter import Filter
 
 STEP_NS = 10_000_000
@@ -31,6 +31,36 @@ def read(
     stamp = Stamp(now_ns, now_ns)
     pose.accept(InertialSample(stamp, "HIGHRES_IMU", 0, now_ns // 1000, accel, gyro, (tilt_rad, tilt_rad)))
     pose.accept(WheelTicks(stamp, 5, 5))
+
+
+@pytest.mark.parametrize("kept", ["box", "ellipsoid"])
+@pytest.mark.parametrize("last_s", [0.1, 0.4])
+def test_counts_that_were_read_late_all_at_once_lead_no_farther_than_their_time(kept: SetName, last_s: float) -> None:
+    """Twenty counts at a pause's end, each perhaps the first of a restarted unit: the way of one pause, not 20."""
+    robot, devices = declared()
+    imu = replace(devices.imu, latency_ms=(0.0, 0.0))
+    pose, pause_ns = standing(imu, FilterConfig(set=kept)), 250_000_000
+    for k in range(100):
+        read(pose, k)
+    paused_ns = 10**12 + 100 * STEP_NS
+    for k in range(100, 100 + round(last_s * 100) + pause_ns // STEP_NS):
+        now_ns = 10**12 + k * STEP_NS
+        stamp = Stamp(now_ns, now_ns)
+        pose.accept(
+            InertialSample(stamp, "HIGHRES_IMU", 0, now_ns // 1000, (0.0, 0.0, nan), (0.0, 0.0, 0.0), (0.0, 0.0))
+        )
+        if now_ns == paused_ns + pause_ns:
+            for epoch in range(1, 21):
+                pose.accept(WheelTicks(Stamp(paused_ns, now_ns), 5, 5, epoch))
+        elif now_ns > paused_ns + pause_ns:
+            pose.accept(WheelTicks(stamp, 5, 5, 20))
+    box = pose.latest()
+    assert box is not None
+    assert pose.guarantee.intact
+    way = robot.max_speed_mps * pause_ns * 1e-9
+    assert box.low[0] <= -way
+    assert way <= box.high[0]
+    assert max(box.high[:2] - box.low[:2]) < 2.0 * (1.3 * way + 0.02)
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
