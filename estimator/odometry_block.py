@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from drivers.compiled import compiled
 from estimator.fan import DIRECTIONS, add_box, add_segment, shared
-from estimator.interval import mid, norm, reach, up
+from estimator.interval import Interval, mid, norm, reach, up
 
 ROUNDING = 1e-12
 """Relative: sums below of fewer than 10^4 products of numbers as large as the whole way."""
@@ -133,12 +133,16 @@ def extend_block(
 
 
 @compiled
-def bend_to(block: Any, heading: NDArray[np.float64], h: float) -> float:
-    """How far a BLOCK's last axis is from the heading of a later gyro node, at most; |b - reference| <= h."""
+def bend_to(block: Any, heading: NDArray[np.float64], bias: Interval, aged: float) -> float:
+    """How far a BLOCK's last axis is from the heading of a later gyro node, at most; the bias now, and its drift since.
+
+    As far as between two steps of `extend_block`.
+    """
     start, last = block.heading, block.last
     tau = heading[1] - start[1]
     alpha = heading[0] - start[0] + tau * block.reference
-    turned = abs(tau - last[2]) * h + abs(up(heading[2] - start[2]) - last[3])
+    rho = up(up(abs(heading[2] - start[2])) + up(abs(tau) * aged))
+    turned = abs(tau - last[2]) * reach(bias, block.reference) + abs(rho - last[3])
     return float(1.001 * (sqrt((cos(alpha) - last[0]) ** 2 + (sin(alpha) - last[1]) ** 2) + turned))
 
 

@@ -89,9 +89,9 @@ def try_slices(
     ways = chain(1, blocks, now_s, 0.0, bias[0], bias[1], drift)
     if ways.oldest > 0:
         return -1
-    bent = up(quantum * bend_to(blocks[0], blocks[1].heading, ways.h))
-    add_box(ways.fan[0], bent, bent)
     aged = up(drift * up(now_s - blocks[0].seconds))
+    bent = up(quantum * bend_to(blocks[0], blocks[1].heading, (bias[0], bias[1]), aged))
+    add_box(ways.fan[0], bent, bent)
     turned = relative_yaw(blocks[1].heading, blocks[0].heading, widen((bias[0], bias[1]), aged))
     box, places = np.empty((2, 2)), np.empty((2, 2))
     yaws, left = (0.0, 0.0), 0

@@ -8,7 +8,7 @@ import pytest
 from bench.pose_faults import break_it, cases
 from estimator.chaining import chain
 from estimator.fan import add_segment
-from estimator.odometry_block import BLOCK, empty_block, extend_block
+from estimator.odometry_block import BLOCK, bend_to, empty_block, extend_block
 from estimator.place_by_yaw import SLICE, PlaceByYaw, cut_anew, halved
 from estimator.place_polygon import SIDE_EAST, SIDE_NORTH, SIDES, polygon_of
 
@@ -120,6 +120,14 @@ def test_counts_that_begin_anew_in_the_middle_of_a_way_are_off_twice() -> None:
     block["error"] = block["raw"]
     ways = chain(1, block, 0.0, QUANTUM, 0.0, 0.0, 0.0)
     assert ways.fan[0][0] >= 2.0 * QUANTUM
+
+
+def test_an_axis_is_as_far_off_as_the_bias_may_be_from_where_the_way_began_with_it() -> None:
+    """The bias is known better now, and to one side of what it was taken for; and it may have drifted."""
+    blocks, later = np.zeros(1, BLOCK), np.array([0.0, -2.0, 0.0])
+    blocks["last"][0] = 1.0, 0.0, 0.0, 0.0
+    assert bend_to(blocks[0], later, (0.009, 0.01), 0.0) >= 2.0 * 0.01
+    assert bend_to(blocks[0], later, (0.009, 0.01), 0.005) >= 2.0 * 0.015
 
 
 def test_a_wheel_scale_twice_beyond_its_bound_is_told_within_a_metre_though_yaw_is_known_to_two_degrees() -> None:
