@@ -263,13 +263,15 @@ def scanner_bytes() -> bytes:
 @pytest.mark.parametrize(
     ("written", "told"),
     [
-        (gzip.compress(bytes(1000)), "gzip -dc FILE"),
-        (bz2.compress(bytes(1000)), "bzip2 -dc FILE"),
-        (b"\x89MCAP0\r\n" + bytes(3), "replay"),
-        (b"LOGG" + bytes(140), "can.logconvert"),
-        (b"date Thu Nov 26 06:39:47.000 am 2026\nbase hex  timestamps absolute\n", "can.logconvert"),
-        (bytes.fromhex("d4c3b2a1020004000000000000000000ffff000001000000"), "packet capture"),
-        (b"", "is empty"),
+        pytest.param(gzip.compress(bytes(1000), mtime=0), "gzip -dc FILE", id="gzip"),
+        pytest.param(bz2.compress(bytes(1000)), "bzip2 -dc FILE", id="bzip2"),
+        pytest.param(b"\x89MCAP0\r\n" + bytes(3), "replay", id="mcap"),
+        pytest.param(b"LOGG" + bytes(140), "can.logconvert", id="blf"),
+        pytest.param(
+            b"date Thu Nov 26 06:39:47.000 am 2026\nbase hex  timestamps absolute\n", "can.logconvert", id="asc"
+        ),
+        pytest.param(bytes.fromhex("d4c3b2a1020004000000000000000000ffff000001000000"), "packet capture", id="pcap"),
+        pytest.param(b"", "is empty", id="empty"),
     ],
 )
 def test_files_that_are_no_raw_bytes_are_told_from_dirt(
