@@ -124,8 +124,11 @@ def load(path: Path) -> LoadedConfig:
         text = path.read_text(encoding="utf-8-sig")  # Notepad begins files with a mark
     except FileNotFoundError:
         raise ConfigurationError(f"{path}: no such file; docs/config/ holds examples to start from") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"{path}: cannot be read: {error}") from None
+    except UnicodeDecodeError as error:
+        line = error.object.count(b"\n", 0, error.start) + 1
+        raise ConfigurationError(f"{path}: is not UTF-8 text (at line {line}); save it in that encoding") from None
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
     return parse(text, folder=path.resolve().parent, source=str(path))
 
 

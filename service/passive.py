@@ -5,6 +5,7 @@ zero and bounds are placeholders. Guaranteed samples come from a configuration, 
 """
 
 import re
+from codecs import BOM_UTF8
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
@@ -28,6 +29,7 @@ Timed: TypeAlias = tuple[int, Sample]
 
 NO_LINE = "understood, but nothing in it makes a line; the counts tell why"
 _INTACT = ("telegrams", "frames", "sentences")
+_BROKEN = ("bad_crc", "bad_checksum", "bad_frames", "bad_lines")
 
 _CANDUMP_LINE_BYTES = 256
 _CANDUMP = re.compile(rb"\(\d{1,10}\.\d{6,9}\) \S{1,32} [0-9A-Fa-f]{3,8}#|\S{1,32} +[0-9A-Fa-f]{3,8} +\[\d{1,2}\] ")
@@ -36,8 +38,9 @@ C = TypeVar("C")
 
 
 def understood(counts: Mapping[str, int]) -> bool:
-    """Was anything intact in the bytes? Not all that is makes a line: a receiver without satellites speaks, too."""
-    return any(counts.get(name) for name in _INTACT)
+    """Was more intact than chance would make? Not all of it makes a line: a receiver without satellites speaks, too."""
+    intact, broken = (sum(counts.get(name, 0) for name in names) for names in (_INTACT, _BROKEN))
+    return 10 * intact > broken  # in noise one "sentence" in 256 has its checksum
 
 
 def why_nothing(counts: Mapping[str, int]) -> str | None:
@@ -89,10 +92,11 @@ class EncodersFile:
     def receive_data(self, data: bytes) -> list[Timed]:
         """Ticks that `data` completes."""
         if self._is_candump is None and data:
+            data = data.removeprefix(BOM_UTF8)
             self._is_candump = data.lstrip().startswith(b"(") or _CANDUMP.search(data) is not None
         if not self._is_candump:
             return [(0, ticks) for ticks in self._protocol.receive_data(data, 0)]
-        *lines, self._partial = (self._partial + data).split(b"\n")
+        *lines, self._partial = (self._partial + data).replace(b"\r", b"\n").split(b"\n")
         if len(self._partial) > _CANDUMP_LINE_BYTES:  # no line of a log any more
             self.counts["skipped_bytes"] += len(self._partial) - _CANDUMP_LINE_BYTES
             self._partial = self._partial[-_CANDUMP_LINE_BYTES:]

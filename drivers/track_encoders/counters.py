@@ -114,7 +114,8 @@ def _sought(dbc: str, name: str) -> TrackCounter:
     import cantools
 
     try:
-        database: Any = cantools.database.load_string(dbc, database_format="dbc", strict=False)
+        text = dbc.removeprefix("ï»¿")  # Notepad's mark, in the encoding of DBC files
+        database: Any = cantools.database.load_string(text, database_format="dbc", strict=False)
     except Exception as error:  # the parser raises many kinds
         raise ConfigurationError(f"the DBC file can't be read ({error}); give a Vector DBC file") from error
     message_name, _, signal_name = name.partition(".")

@@ -34,6 +34,8 @@ OTHER_FILES = {
     b"\x1f\x8b": "they are compressed: gzip -dc FILE | terrabound decode ... -",
     b"BZh": "they are compressed: bzip2 -dc FILE | terrabound decode ... -",
     b"\x28\xb5\x2f\xfd": "they are compressed: zstd -dc FILE | terrabound decode ... -",
+    b"\xfd7zXZ": "they are compressed: xz -dc FILE | terrabound decode ... -",
+    b"PK\x03\x04": "they are compressed: unzip -p FILE | terrabound decode ... -",
     b"\xff\xfe": "they are text in UTF-16: give the bytes as the port gave them",
     b"LOGG": _CAN_LOG,
     b"date ": _CAN_LOG,

@@ -120,6 +120,20 @@ def test_a_file_from_notepad_is_read(tmp_path: Path) -> None:
     assert load(tmp_path / "robot.toml").config == parse(DEMO, Path(), "robot.toml").config
 
 
+def test_a_file_in_another_encoding_is_refused_with_its_place(tmp_path: Path) -> None:
+    """An umlaut of Latin-1, or UTF-16: the line, and what to do, not a codec's words."""
+    path = tmp_path / "robot.toml"
+    for text, line in (
+        (DEMO.encode() + "# Straße".encode("latin-1"), DEMO.count("\n") + 1),
+        (DEMO.encode("utf-16"), 1),
+    ):
+        path.write_bytes(text)
+        with pytest.raises(
+            ConfigurationError, match=rf"is not UTF-8 text \(at line {line}\); save it in that encoding"
+        ):
+            load(path)
+
+
 def test_a_long_wrong_value_is_not_repeated_whole() -> None:
     """[[devices.gps]] for [devices.gps]: the line stays a line."""
     assert max(map(len, complaint(DEMO.replace("[devices.gps]", "[[devices.gps]]")).splitlines())) < 140

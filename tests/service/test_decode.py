@@ -3,6 +3,7 @@
 import bz2
 import gzip
 import json
+import lzma
 import os
 import subprocess
 import sys
@@ -118,6 +119,18 @@ def test_every_form_of_a_candump_log_is_read(decode: Decode, tmp_path: Path) -> 
         assert ticks[3]["stamp_ns"] == 1_627_276_800_130_000_000
         told = ("fd_frames", "error_frames", "remote_frames", "bad_length", "bad_lines", "other_frames")
         assert [count_of(name, counts) for name in told] == [1, 1, 1, 1, 2, 1]
+
+
+@pytest.mark.parametrize(("mark", "end"), [(b"\xef\xbb\xbf", b"\r\n"), (b"", b"\r"), (b"", b"\r\r\n")])
+def test_a_log_that_went_through_an_editor_loses_no_line(
+    mark: bytes, end: bytes, decode: Decode, tmp_path: Path
+) -> None:
+    """Notepad's mark stands before the first line; other programs end lines in other ways."""
+    lines = [b"(1627276800.1%d0000) can0 181#0%d000200" % (n, n) for n in range(5)]
+    (tmp_path / "log").write_bytes(mark + end.join(lines))
+    (tmp_path / "dbc").write_bytes(b"\xef\xbb\xbf" + DBC.read_bytes())
+    ticks, counts = decode("encoders", tmp_path / "log", "--dbc", tmp_path / "dbc", *TRACKS[2:])
+    assert ([tick["left"] for tick in ticks], count_of("bad_lines", counts)) == ([0, 1, 2, 3, 4], 0)
 
 
 @pytest.mark.parametrize(
@@ -265,6 +278,8 @@ def scanner_bytes() -> bytes:
     [
         pytest.param(gzip.compress(bytes(1000), mtime=0), "gzip -dc FILE", id="gzip"),
         pytest.param(bz2.compress(bytes(1000)), "bzip2 -dc FILE", id="bzip2"),
+        pytest.param(lzma.compress(bytes(1000)), "xz -dc FILE", id="xz"),
+        pytest.param(b"PK\x03\x04" + bytes(100), "unzip -p FILE", id="zip"),
         pytest.param(b"\x89MCAP0\r\n" + bytes(3), "replay", id="mcap"),
         pytest.param(b"LOGG" + bytes(140), "can.logconvert", id="blf"),
         pytest.param(
@@ -290,6 +305,15 @@ def test_a_receiver_without_satellites_is_not_taken_for_dirt(decode: Decode, tmp
     lines, said = decode("gps", tmp_path / "indoors")
     assert (lines, count_of("no_fix", said)) == ([], 9)
     assert "understood, but nothing in it makes a line" in said
+
+
+def test_a_sentence_that_noise_made_by_chance_is_no_receiver(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """One in 256 of them has its checksum: that is not "understood", and ends with 1."""
+    noise = b"".join(b"$GP%03d,*%02X\r\n" % (n, n) for n in range(256))
+    (tmp_path / "noise").write_bytes(noise)
+    assert run_command(["decode", "gps", str(tmp_path / "noise")]) == 1
+    said = capfd.readouterr().err
+    assert count_of("sentences", said) < 5 < count_of("bad_checksum", said)
 
 
 def test_standard_input_that_is_closed_is_told() -> None:
