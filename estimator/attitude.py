@@ -239,7 +239,7 @@ class AttitudeChain:
         self.level = self.level and other.level
         self.tube.heading[self.tube.end - k : self.tube.end, 2] += LOST_YAW * np.arange(1, k + 1)
         if len(self.packets):
-            self.packets.begin_anew(self.tube.effort[self.tube.newest])
+            self.packets.begin_anew(self.tube.effort[self.tube.newest], other.packets)
 
     # ---------------------------------------------------------------- the beginning
 

@@ -261,7 +261,7 @@ def likeliest(reported: str, suspects: tuple[str, ...], stuck_gyro: bool = False
         return "gyro"
     if reported in suspects and reported != "gps":
         return reported
-    for sensor in ("encoders", "gyro", "tilt", "accelerometer", "imu_clock", "gps"):
+    for sensor in ("encoders", "gyro", "tilt", "accelerometer", "imu_clock", "imu_latency", "gps"):
         if sensor in suspects:
             return sensor
     return reported

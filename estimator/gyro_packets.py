@@ -103,10 +103,15 @@ class GyroPackets:
         self.end += 1
         self.begin = max(self.begin, self.end - REMEMBERED)
 
-    def begin_anew(self, effort: NDArray[np.int64]) -> None:
-        """Forget all but the newest packet; variations count from `effort` on."""
+    def begin_anew(self, effort: NDArray[np.int64], other: "GyroPackets") -> None:
+        """Forget all but the newest packet, whose time is what either takes it for; variations count from `effort`."""
         self.begin = self.end - 1
-        self.numbers[self.begin % REMEMBERED, EFFORT:] = effort
+        mine, its = self.numbers[self.begin % REMEMBERED], other.numbers[(other.end - 1) % REMEMBERED]
+        for column, outer in ((EARLIEST_NS, min), (LATEST_NS, max), (BEGAN_NS, min)):
+            mine[column] = outer(mine[column], its[column])
+        if mine[DEVICE_US] != its[DEVICE_US]:
+            mine[DEVICE_US] = NO_CLOCK
+        mine[EFFORT:] = effort
 
 
 def board_clock(sample: InertialSample) -> tuple[int, int]:

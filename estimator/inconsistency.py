@@ -8,16 +8,12 @@ from collections import Counter
 from collections.abc import Callable
 from typing import NamedTuple
 
-SENSORS = ("gps", "encoders", "gyro", "tilt", "accelerometer", "imu_clock")
-"""Whose bounds can be broken."""
-SUSPECTS = {
-    "gps": ("gps", "encoders", "gyro", "tilt", "accelerometer"),
-    "tilt": ("tilt", "gyro", "accelerometer"),
-    "accelerometer": ("accelerometer", "tilt", "gyro"),
-    "gyro": ("gyro", "encoders"),
-    "encoders": ("encoders", "gyro"),
-    "imu_clock": ("imu_clock",),
-}
+SENSORS = ("gps", "encoders", "gyro", "tilt", "accelerometer", "imu_clock", "imu_latency")
+"""Whose bounds can be broken: `imu_clock`, the board's drift; `imu_latency`, inertial packets that are held up."""
+MEASURING = ("gps", "encoders", "gyro", "tilt", "accelerometer")
+"""Whoever of these breaks its bound may show in another's contradiction: counts that stand still tell of a standstill,
+that of the gyroscope's bias, and the bias of roll and pitch; fixes tell of the bias, too."""
+SUSPECTS = {**dict.fromkeys(MEASURING, MEASURING), "imu_clock": ("imu_clock", "imu_latency")}
 """Whose bound may be the broken one where a measurement of this sensor contradicts the set."""
 
 

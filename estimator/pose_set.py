@@ -38,6 +38,8 @@ from estimator.tube import poses_between
 
 PENDING = 4096
 """Samples that may wait for the chain they depend on; the oldest are dropped."""
+HELD_UP_NS = 1_000_000_000
+"""So late may packets come that come later than declared; the board's clock then says how far apart they were."""
 
 POSITION_CHAINS: dict[SetName, type[PositionChain]] = {"box": PositionChain, "ellipsoid": EllipsoidalPosition}
 """The sets a pose can be kept as."""
@@ -122,8 +124,10 @@ class PoseSet:
         """A gyro packet is a step, tilt and accelerometers correct. What is ignored counts as not measured."""
         turns = any_measured(sample.gyro_rps)
         if self.ignored:
+            held_up = "imu_latency" in self.ignored and "imu_clock" not in self.ignored
             sample = replace(
                 sample,
+                stamp=sample.stamp.shifted(-HELD_UP_NS, 0) if held_up else sample.stamp,
                 device_time_us=None if "imu_clock" in self.ignored else sample.device_time_us,
                 gyro_rps=ABSENT3 if "gyro" in self.ignored else sample.gyro_rps,
                 tilt_rad=ABSENT3[:2] if "tilt" in self.ignored else sample.tilt_rad,

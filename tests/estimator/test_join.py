@@ -17,7 +17,7 @@ from simulator.faults import METRES_PER_DEGREE
 from simulator.sample_stream import sample_stream
 
 LAW, SEED, SECONDS = "switching", 3, 34.0
-SENSORS = ("gps", "encoders", "gyro", "tilt", "accelerometer", "imu_clock")
+SENSORS = ("gps", "encoders", "gyro", "tilt", "accelerometer", "imu_clock", "imu_latency")
 TRIALS = 8
 
 
