@@ -143,7 +143,7 @@ class GpsWindow:
         for name in ("heading", "seconds"):
             self._blocks[name][RECENT] = self._blocks[name][self.count]
         empty_block(self._blocks, RECENT, bias, slack)
-        self._blocks["last"][RECENT] = 1.0, 0.0, 0.0, 0.0
+        self._blocks["last"][RECENT] = 1.0, 0.0, *self._blocks["heading"][RECENT][1:]
         self._since[1] = self._mark()
 
     def _let_go_of_the_oldest(self) -> None:

@@ -36,7 +36,7 @@ along the heading, heading and time of the gyro node then. The block of odometry
 of its start, way + by_bias (b - reference) + error, and `path` long.
 
 While it is open: its error without the slip's credit, and what that is taken from (slip_ledger.py); axis of its last
-step, and that heading's τ and ρ, NaN before the first."""
+step, and of the heading of that (N, τ, ρ) the latter two; NaN before the first."""
 Blocks: TypeAlias = NDArray[np.void]
 """[n] of BLOCK."""
 
@@ -92,7 +92,7 @@ def extend_block(
     a second. Its `raw` is a fan; `least` what its segments of slip have in common, per metre of the tracks. The error
     of the count telescopes as in tracks.travel: a quantum for each change of the axis.
     """
-    start, reference, way, by_bias, last = block.heading, block.reference, block.way, block.by_bias, block.last
+    start, reference, way, by_bias = block.heading, block.reference, block.way, block.by_bias
     aged = up(drift * up(now_s - block.seconds))
     tau = heading[1] - start[1]
     rho = up(up(abs(heading[2] - start[2])) + up(abs(tau) * aged))
@@ -115,12 +115,11 @@ def extend_block(
     else:
         along = across = norm((step[0, 0], step[0, 1]), (step[1, 0], step[1, 1]))
     ax, ay = c * axis[0] - s * axis[1], s * axis[0] + c * axis[1]
-    if last[0] == last[0]:
-        turned = abs(tau - last[2]) * h + abs(rho - last[3])
-        bent = 1.001 * quantum * (sqrt((ax - last[0]) ** 2 + (ay - last[1]) ** 2) + turned)
+    if block.last[0] == block.last[0]:
+        bent = quantum * bent_from_last(block, ax, ay, heading, up(h + aged))
         along += bent
         across += bent
-    last[0], last[1], last[2], last[3] = ax, ay, tau, rho
+    block.last[0], block.last[1], block.last[2], block.last[3] = ax, ay, heading[1], heading[2]
     block.path += sqrt(dx * dx + dy * dy)
     rounding = ROUNDING * (abs(way[0]) + abs(way[1]) + block.path + 1e-3)
     add_segment(block.raw, c * along, s * along)
@@ -133,17 +132,21 @@ def extend_block(
 
 
 @compiled
+def bent_from_last(block: Any, x: float, y: float, heading: NDArray[np.float64], h: float) -> float:
+    """How far an axis along a heading, in the block's frame (x, y), may be from the last one; |b - reference| <= h."""
+    last = block.last
+    turned = abs(heading[1] - last[2]) * h + abs(heading[2] - last[3])
+    return float(1.001 * (sqrt((x - last[0]) ** 2 + (y - last[1]) ** 2) + turned))
+
+
+@compiled
 def bend_to(block: Any, heading: NDArray[np.float64], bias: Interval, aged: float) -> float:
     """How far a BLOCK's last axis is from the heading of a later gyro node, at most; the bias now, and its drift since.
 
     As far as between two steps of `extend_block`.
     """
-    start, last = block.heading, block.last
-    tau = heading[1] - start[1]
-    alpha = heading[0] - start[0] + tau * block.reference
-    rho = up(up(abs(heading[2] - start[2])) + up(abs(tau) * aged))
-    turned = abs(tau - last[2]) * reach(bias, block.reference) + abs(rho - last[3])
-    return float(1.001 * (sqrt((cos(alpha) - last[0]) ** 2 + (sin(alpha) - last[1]) ** 2) + turned))
+    alpha = heading[0] - block.heading[0] + (heading[1] - block.heading[1]) * block.reference
+    return bent_from_last(block, cos(alpha), sin(alpha), heading, up(reach(bias, block.reference) + aged))
 
 
 @compiled

@@ -7,7 +7,7 @@ import pytest
 
 from bench.pose_faults import break_it, cases
 from estimator.chaining import chain
-from estimator.fan import add_segment
+from estimator.fan import add_segment, support
 from estimator.odometry_block import BLOCK, bend_to, empty_block, extend_block
 from estimator.place_by_yaw import SLICE, PlaceByYaw, cut_anew, halved
 from estimator.place_polygon import SIDE_EAST, SIDE_NORTH, SIDES, polygon_of
@@ -128,6 +128,17 @@ def test_an_axis_is_as_far_off_as_the_bias_may_be_from_where_the_way_began_with_
     blocks["last"][0] = 1.0, 0.0, 0.0, 0.0
     assert bend_to(blocks[0], later, (0.009, 0.01), 0.0) >= 2.0 * 0.01
     assert bend_to(blocks[0], later, (0.009, 0.01), 0.005) >= 2.0 * 0.015
+
+
+def test_axes_before_and_after_the_fix_are_as_far_apart_as_the_noise_between_them() -> None:
+    """The first step's heading is of a gyro packet before the fix, the second's of one after it; a count wavers."""
+    block, noise = np.zeros(1, BLOCK), 0.01
+    empty_block(block, 0, np.zeros(2), 0.0)
+    for before_or_after in (-noise, noise):
+        heading = np.array([0.0, 0.0, before_or_after])
+        extend_block(block[0], np.zeros((3, 2)), np.array([1.0, 0.0, 0.0]), heading, QUANTUM, np.zeros(2), 0.0, 0.0)
+    assert support(block["raw"][0], 0.0, 1.0) >= QUANTUM * 2.0 * noise
+    assert bend_to(block[0], np.array([0.0, 0.0, -noise]), (0.0, 0.0), 0.0) >= 2.0 * noise
 
 
 def test_a_wheel_scale_twice_beyond_its_bound_is_told_within_a_metre_though_yaw_is_known_to_two_degrees() -> None:
