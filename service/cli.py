@@ -1,6 +1,6 @@
 """The command line: `terrabound COMMAND`. Each command stands in its own file under service/commands/.
 
-Exit codes: 0 done, 1 failed, 2 bad usage, 78 bad configuration (systemd's EX_CONFIG).
+Exit codes: 0 done, 1 failed, 2 bad usage, 78 bad configuration (systemd's EX_CONFIG), 130 interrupted.
 """
 
 import gc
@@ -112,7 +112,8 @@ def _run_command(arguments: list[str]) -> int:
 def _forget_output() -> None:
     """What could not be written to standard output shall not be tried again when the interpreter ends."""
     try:
-        sys.stdout.flush()
+        if sys.stdout is not None:
+            sys.stdout.flush()
     except OSError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 

@@ -53,8 +53,7 @@ def check(
     Tries as well whether recording, store and map can be written and the address be listened at.
 
     Ends with 78 if the configuration is wrong, 1 if a device is missing or silent or anything else is amiss, 0 if all
-    is well. With --bounds a
-    recorded drive is held against the declared bounds instead: 1 if it contradicts one.
+    is well. With --bounds a recorded drive is held against the declared bounds instead: 1 if it contradicts one.
 
     Parameters
     ----------
@@ -71,8 +70,9 @@ def check(
     """
     if bounds is not None:
         return check_bounds(bounds, config, report)
-    if config is None:
-        print("terrabound check: name the robot's TOML file with --config, or a capture with --bounds", file=sys.stderr)
+    if config is None or report is not None:
+        what = "--report is of --bounds: leave it out" if config else "name the robot's TOML file with --config"
+        print(f"terrabound check: {what}, or a capture with --bounds", file=sys.stderr)
         return EXIT_USAGE
     console = Console()
     loaded = load_for_ports(config)

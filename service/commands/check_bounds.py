@@ -18,7 +18,7 @@ from drivers.samples import Sample
 from estimator.bound_usage.ledger import Usage, Verdict
 from estimator.bound_usage.usage import bound_usage
 from service.commands.replay import configuration_of, with_progress
-from service.output_files import refuse_unwritable
+from service.output_files import refuse_unwritable, write_text
 from service.replay import arrivals, recorded_devices
 
 STYLES = {Verdict.CONTRADICTED: "bold red", Verdict.SUSPECT: "red", Verdict.WIDE: "yellow", Verdict.LOOKS_WIDE: "dim"}
@@ -42,7 +42,7 @@ def check_bounds(capture: Path, config: Path | None = None, report: Path | None 
     _print(usages, begin_ns, seconds, recording)
     if report is not None:
         text = json.dumps(_report(usages, begin_ns, seconds, capture), indent=2, allow_nan=False)
-        report.write_text(text + "\n", encoding="utf-8")
+        write_text(report, text + "\n")
     return 1 if any(usage.verdict is Verdict.CONTRADICTED for usage in usages) else 0
 
 

@@ -32,7 +32,7 @@ from service.lifecycle import interrupted_later, terminated_like_interrupted
 from service.loopback import free_locator
 from service.messages import write_pose
 from service.onboard import Onboard
-from service.output_files import refuse_unwritable
+from service.output_files import refuse_unwritable, write_text
 from service.shipped import shipped_config
 
 Scene = Literal["stairs", "rough", "ramp", "flat"]
@@ -110,7 +110,7 @@ def demo(
         onboard.publisher.flush(5.0)
         copy = watcher.finish()
         poses_path = output / "poses.jsonl"
-        poses_path.write_text("".join(f"{write_pose(pose).decode()}\n" for pose in poses), encoding="utf-8")
+        write_text(poses_path, "".join(f"{write_pose(pose).decode()}\n" for pose in poses))
         truth = robot.truth()
         shutil.copy(robot.truth_path, output / "truth.npz")
         evaluation = evaluate(onboard, truth, poses_path, output, copy, duration / elapsed_s)
@@ -118,7 +118,7 @@ def demo(
     draw_evaluation(picture, evaluation, truth, output, scene)
     Console().print(results_table(evaluation, picture))
     if report is not None:
-        report.write_text(json.dumps(asdict(evaluation), indent=2) + "\n")
+        write_text(report, json.dumps(asdict(evaluation), indent=2) + "\n")
     return 0 if evaluation.sound and evaluation.remote_equal else 1
 
 

@@ -13,6 +13,7 @@ from mapper.saved_map import MapFileError, SavedMap, load
 from mapper.stored_map import is_store, load_stored
 from mapper.traversability import RobotLimits
 from service.messages import GuaranteeMessage, MalformedMessage, guarantee_from, read
+from service.output_files import refuse_unwritable
 
 Positive = Annotated[float, Parameter(validator=validators.Number(gt=0))]
 
@@ -56,6 +57,7 @@ def export(
     max_roughness_m
         The same.
     """
+    refuse_unwritable((output,), inputs=(map,))
     if is_store(map):
         saved, findings = load_stored(map, submap)
         if not findings.clean:

@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 
 from rich.console import Console
@@ -15,7 +15,7 @@ from service.commands.port_replay import replay_through_ports
 from service.config import LoadedConfig, load, parse
 from service.map_file import save_map
 from service.messages import write_pose
-from service.output_files import OutputError, refuse_unwritable
+from service.output_files import named_in_errors, refuse_unwritable
 from service.pipeline import Pipeline
 from service.replay import recorded_devices
 from service.replay import replay as replay_directly
@@ -51,7 +51,7 @@ def replay(
     with ExitStack() as stack:
         on_pose: Callable[[BoundedPose], None] | None = None
         if poses is not None:
-            stack.enter_context(_named_in_errors(poses))
+            stack.enter_context(named_in_errors(poses))
             lines = stack.enter_context(poses.open("w", encoding="utf-8"))
 
             def on_pose(pose: BoundedPose) -> None:
@@ -68,17 +68,6 @@ def replay(
         save_map(pipeline, map)
         print(map)
     return 0
-
-
-@contextmanager
-def _named_in_errors(path: Path) -> Iterator[None]:
-    """A full disk is told with the file that it has no room for."""
-    try:
-        yield
-    except OSError as error:
-        if error.filename is not None:
-            raise
-        raise OutputError(f"{path}: can't be written: {error.strerror or error}") from error
 
 
 def configuration_of(recording: Capture, path: Path, override: Path | None) -> LoadedConfig:

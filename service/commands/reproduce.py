@@ -16,6 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from bench.paper import experiment
 from bench.paper.experiment import Outcome
 from drivers.errors import TerraboundError
+from service.output_files import write_text
 
 EXPERIMENTS = ("table1", "stairs", "snow")
 
@@ -75,5 +76,5 @@ def _write(output: Path, name: str, outcome: Outcome) -> None:
     """The outcome as <name>.json and <name>.md."""
     pictures = "".join(f"\n![{picture.stem}]({picture.relative_to(output)})" for picture in outcome.pictures)
     text = f"# {outcome.title}\n\n{outcome.report.rstrip()}\n{pictures}\n"
-    (output / f"{name}.md").write_text(text, encoding="utf-8")
-    (output / f"{name}.json").write_text(json.dumps(outcome.numbers, indent=2) + "\n", encoding="utf-8")
+    write_text(output / f"{name}.md", text)
+    write_text(output / f"{name}.json", json.dumps(outcome.numbers, indent=2) + "\n")

@@ -9,7 +9,7 @@ from rich.table import Table
 
 from service.client import RemoteMap
 from service.lifecycle import stop_on_signals
-from service.output_files import refuse_unwritable
+from service.output_files import refuse_unwritable, write_text
 
 FINAL_SYNC_S = 5.0
 """After the end is asked for, how long to wait until the copy equals the robot's map."""
@@ -62,7 +62,7 @@ def watch(
             remote.save(map, submap)
         if report is not None:
             received = {"in_sync": synced, "latency_ms": remote.latencies_ms(), "rival": remote.rival, **remote.stats()}
-            report.write_text(json.dumps(received))
+            write_text(report, json.dumps(received))
         console.print(_table(remote))
     if not synced:
         why = (

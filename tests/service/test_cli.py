@@ -63,7 +63,8 @@ def test_every_command_explains_itself(name: str, capfd: pytest.CaptureFixture[s
 
 @pytest.mark.parametrize(
     "arguments",
-    ["frobnicate", "check", "check --frob", "decode", "decode sonar x", "decode gps", "listen gps x --seconds 0",
+    ["frobnicate", "check", "check --frob", "check --config demo.toml --report x --seconds 0",
+     "decode", "decode sonar x", "decode gps", "listen gps x --seconds 0",
      "emulate robot --duration 1", "emulate robot --speed 0",
      "demo --speed nan", "demo --speed -1", "decode encoders x --dbc y", "decode lms x --measuring-mode 9"],
 )  # fmt: skip

@@ -10,7 +10,7 @@ import pytest
 from drivers.capture import CaptureWriter
 from estimator.bounded_pose import INTACT, BoundedPose
 from service.cli import run_command
-from service.output_files import OutputError, refuse_unwritable
+from service.output_files import OutputError, refuse_unwritable, write_text
 from service.pipeline import Pipeline
 from service.shipped import shipped_config
 
@@ -29,7 +29,8 @@ def drive(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     "arguments",
     ["replay drive.mcap --poses drive.mcap", "replay drive.mcap --map drive.mcap", "replay drive.mcap --map link.npz",
-     "replay drive.mcap --config robot.toml --map robot.toml", "check --bounds drive.mcap --report drive.mcap"],
+     "replay drive.mcap --config robot.toml --map robot.toml", "check --bounds drive.mcap --report drive.mcap",
+     "export drive.mcap link.npz --layer slope"],
 )  # fmt: skip
 def test_no_command_overwrites_what_it_reads(
     arguments: str, drive: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
@@ -53,6 +54,7 @@ def test_no_command_overwrites_what_it_reads(
         ("watch --connect tcp/127.0.0.1:1 --map none/map.npz", "there is no folder"),
         ("watch --connect tcp/127.0.0.1:1 --report .", "is a folder"),
         ("demo --report none/report.json", "there is no folder"),
+        ("replay none.mcap --map one --poses ./one", "is to be written twice"),
         ("emulate robot --truth none/truth.npz", "there is no folder"),
     ],
 )
@@ -71,6 +73,12 @@ def test_devices_and_new_names_are_no_obstacle(tmp_path: Path) -> None:
     refuse_unwritable([Path("/dev/stdout"), Path("/dev/null"), tmp_path / "new.npz", tmp_path / "old.npz", None])
     with pytest.raises(OutputError, match=r"old\.npz: is read by this command"):
         refuse_unwritable([tmp_path / "old.npz"], inputs=[None, tmp_path / "missing", tmp_path / "old.npz"])
+
+
+def test_a_text_for_which_there_is_no_room_is_told_with_its_file() -> None:
+    """Reports and pages, written whole."""
+    with pytest.raises(OutputError, match="/dev/full: can't be written: No space left"):
+        write_text(Path("/dev/full"), "a report")
 
 
 def test_a_disk_that_fills_up_is_told_with_the_file(
