@@ -75,6 +75,8 @@ def gyro_step(
     last = numbers[newest % REMEMBERED]
     back, off_s = goes_back(last, earliest_ns, latest_ns, epoch, device_us, resolution_us, clock_drift)
     if back:
+        if device_us == last[DEVICE_US] and told_else(rate, rates[newest % REMEMBERED]):
+            learnt[INTERVALS] = 0.0  # so that the next one's mean is not taken for that of all the time since the last
         return False, True, level, False, off_s
     began_ns = last[EARLIEST_NS]
     least_s, most_s, earliest_ns, latest_ns, gap, off_s = elapsed(
@@ -89,6 +91,15 @@ def gyro_step(
         numbers, rates, newest + 1, earliest_ns, latest_ns, began_ns, epoch, device_us, resolution_us, effort[i], rate
     )
     return True, sound, level, lost, off_s
+
+
+@compiled_bare
+def told_else(rate: Vector3, last: NDArray[np.float64]) -> bool:
+    """Is it another packet, and not the last one again?"""
+    told = False
+    for axis in range(3):
+        told = told or (rate[axis] == rate[axis] and rate[axis] != last[axis])
+    return told
 
 
 @compiled_bare

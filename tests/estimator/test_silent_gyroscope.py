@@ -110,3 +110,19 @@ def test_where_nothing_is_lost_the_yaw_stays_narrow() -> None:
     low, high = last_yaw_deg(loses=False)
     assert low <= 0.0 <= high
     assert high - low < 2 * 0.2 * 10
+
+
+def test_of_two_packets_in_one_millisecond_the_second_is_not_left_out_silently() -> None:
+    """The board speaks every half millisecond, its clock tells whole ones; the robot turns to and fro as fast."""
+    imu = replace(CALM_IMU, gyro_bias_bound_dps=1e-4, gyro_noise_bound_dps=1e-4)
+    poses = Filter(replace(ROBOT, max_turn_acceleration_dps2=8000.0), FilterConfig(), ENCODERS, imu, None)
+    for number in range(400):
+        stamp, half_way = Stamp(number * MS // 2, number * MS // 2), number % 2
+        gyro = 0.0, 0.0, radians(1.0 if half_way else -1.0)
+        poses.accept(InertialSample(stamp, "ATTITUDE", 0, number // 2 * 1000, (nan, nan, nan), gyro, (0.0, 0.0)))
+        if not half_way:
+            poses.accept(WheelTicks(stamp, number // 4, number // 4))
+    pose = poses.latest()
+    assert poses.guarantee.intact
+    assert pose is not None
+    assert pose.low[5] <= 0.0 <= pose.high[5]
