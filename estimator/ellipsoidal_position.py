@@ -32,10 +32,10 @@ from estimator.planar_set import (
     PLACES,
     TOO_WIDE,
     UNTOLD,
-    WIDEST_YAW,
     YAWS,
     PlanarSets,
     correct,
+    may_begin,
     node_of,
     planar_step,
     show_all,
@@ -126,7 +126,6 @@ class EllipsoidalPosition(PositionChain):
         self._witness = None if config.wrong_fixes else Witness(attitude.gyro.bias_drift, self.ledger)
         self.window = self._witness or self.window
         self.sets = PlanarSets()
-        self._bounds = tuple(self.tracks)
         self._undone = np.zeros_like(self._pending)
 
     def begin(self, ticks: WheelTicks) -> bool:
@@ -235,8 +234,8 @@ class EllipsoidalPosition(PositionChain):
         slack = up(self.turned_around(around) + self.tracks.slip * self.quantum)
         ahead = relative_yaw(turns.heading[turns.newest], turns.heading[node], bias)
         for frame in FRAMES:
-            yaw, newest = turns.box[node, YAWS[frame]], turns.box[turns.newest, YAWS[frame]]
-            if not self.sets.known[frame] and newest[1] - newest[0] < 2.0 * WIDEST_YAW:
+            if not self.sets.known[frame] and may_begin(turns.box, turns.newest, frame):
+                yaw, newest = turns.box[node, YAWS[frame]], turns.box[turns.newest, YAWS[frame]]
                 x, y = self.tube.box[here, PLACES[frame] : PLACES[frame] + 2]
                 self.sets.begin(
                     frame,

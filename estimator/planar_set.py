@@ -6,7 +6,7 @@ They stand in plain arrays, and each step is one call of machine code for both (
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.compiled import compiled_bare
+from drivers.compiled import compiled_bare, plain_or_compiled
 from estimator.attitude import EARTH_YAW, MAP_YAW
 from estimator.ellipsoid import EMPTY, Ellipsoid, box, extent, half_width, meet_axis, stored
 from estimator.ellipsoidal_motion import BIAS, UNITS, YAW, HeadingStep, X, Y, memory, travel_ellipsoid
@@ -25,8 +25,9 @@ WIDEST_YAW = 1.0
 """rad: beyond this half-width there is no ellipsoid."""
 
 ABSENT, UNTOLD, TOO_WIDE, CONTRADICTED = 1, 2, 4, 8
-"""What became of an ellipsoid in a step, if it is not just a step further and shown: there was none; how far the robot
-turned isn't known, and it stands where it did; its yaw is too wide; its bias can't be where the gyroscope's is."""
+"""What became of an ellipsoid in a step, if it is not just a step further and shown: there is none, but one may begin;
+how far the robot turned isn't known, and it stands where it did; its yaw is too wide; its bias can't be where the
+gyroscope's is."""
 BITS = 4
 
 
@@ -116,10 +117,19 @@ def planar_step(
             sound = meet_axis(e, BIAS, bias[0], bias[1]) != EMPTY
             shown = show(e, kept[frame], frame, places[here], core, pending, turns, headings, after, end - 1, bias)
             outcome = (0 if shown else TOO_WIDE) | (0 if sound else CONTRADICTED)
+        elif known[frame]:
+            outcome = UNTOLD
         else:
-            outcome = UNTOLD if known[frame] else ABSENT
+            outcome = ABSENT if may_begin(turns, end - 1, frame) else 0
         outcomes |= outcome << (BITS * frame)
     return outcomes, after, bias
+
+
+@plain_or_compiled
+def may_begin(turns: NDArray[np.float64], newest: int, frame: int) -> bool:
+    """May an ellipsoid begin, by the newest yaw?"""
+    row = YAWS[frame]
+    return bool(turns[newest, row, 1] - turns[newest, row, 0] < 2.0 * WIDEST_YAW)
 
 
 @compiled_bare

@@ -86,6 +86,7 @@ class PositionChain:
         )
         self.quantum = telescoping_quantum(self.tracks)
         """How far the mean of two differences of counts is off, in metres, and the slip for that reason."""
+        self._bounds = tuple(self.tracks)
         self._left_m, self._right_m = encoders.left_metres_per_tick, encoders.right_metres_per_tick
         self._attitude = attitude
         self._journal = journal
@@ -131,7 +132,7 @@ class PositionChain:
         right = (ticks.right - last.right) * self._right_m if counted else nan
         a, b, remembered, sound, slid, time_high, turning, telescoped, self._turned_until = encoder_step(
             i, places.begin, ticks.stamp.earliest_ns, ticks.stamp.latest_ns, left, right, counted, self._fresh_count,
-            self._turned_until, tuple(self.tracks), turns.begin, turns.end, turns.times, turns.box, turns.swing,
+            self._turned_until, self._bounds, turns.begin, turns.end, turns.times, turns.box, turns.swing,
             turns.heading, turns.effort, attitude.bias, attitude.gyro.bias_drift, attitude.gyro.most_rate,
             places.times, places.box, places.swing, places.net, places.local, places.heading, self._swept, self._core,
             self._axis, self._pending, self._running,

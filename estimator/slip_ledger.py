@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.compiled import compiled
+from drivers.compiled import compiled_bare
 from drivers.samples import Stamp
 from estimator.attitude import AttitudeChain
 from estimator.interval import Interval, mid, mig, mul, reach, sub, up, widen
@@ -88,7 +88,7 @@ class SlipLedger:
         return integral_between(tube.net, tube.effort, 2, a, a_after, b_before, b), to_and_fro
 
 
-@compiled
+@compiled_bare
 def enter(
     sums: NDArray[np.float64],
     left: float,

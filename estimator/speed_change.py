@@ -12,7 +12,7 @@ sides the gyroscope leaves them no room for that.
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.compiled import compiled
+from drivers.compiled import compiled_bare
 from drivers.samples import Stamp
 from estimator.attitude import AttitudeChain
 from estimator.inconsistency import Journal
@@ -58,7 +58,7 @@ class SpeedChange:
             self._journal.report("encoders", stamp.mid_ns, beyond, "m/s")
 
 
-@compiled
+@compiled_bare
 def follow(
     steps: NDArray[np.float64],
     stamps: NDArray[np.int64],
@@ -86,7 +86,9 @@ def follow(
     """
     bounds = TrackBounds(*tracks)
     for k in range(min(known, LONGEST), 0, -1):
-        steps[k], stamps[k], speeds[k] = steps[k - 1], stamps[k - 1], speeds[k - 1]
+        for side in range(2):  # number by number: copies of rows are allocated
+            steps[k, side], steps[k, 2 + side] = steps[k - 1, side], steps[k - 1, 2 + side]
+            stamps[k, side], speeds[k, side] = stamps[k - 1, side], speeds[k - 1, side]
     stamps[0, 0], stamps[0, 1] = earliest_ns, latest_ns
     speeds[0, 0], speeds[0, 1] = -ANY_SPEED, ANY_SPEED
     if known == 0:
@@ -98,19 +100,20 @@ def follow(
     steps[0, 2], steps[0, 3] = up(bounds.slip * ways[0]), up(bounds.slip * ways[1])
     now = widen((speeds[1, 0], speeds[1, 1]), up(a * up((latest_ns - stamps[1, 0]) * 1e-9)))
     b_before, b = last_not_after(times, begin, end, earliest_ns), first_not_before(times, begin, end, latest_ns)
-    gone, slips = np.zeros(2), np.array([bounds.quantum_left, bounds.quantum_right])
+    left, right, left_slips, right_slips = 0.0, 0.0, bounds.quantum_left, bounds.quantum_right
     stretch, worst = 1, 0.0
     for k in range(1, known):
-        for track in range(2):
-            gone[track] += steps[k - 1, track]
-            slips[track] = up(slips[track] + steps[k - 1, 2 + track] + 1e-14 * abs(gone[track]))
+        left += steps[k - 1, 0]
+        right += steps[k - 1, 1]
+        left_slips = up(left_slips + steps[k - 1, 2] + 1e-14 * abs(left))
+        right_slips = up(right_slips + steps[k - 1, 3] + 1e-14 * abs(right))
         if k < stretch:
             continue
         stretch *= 2
         shortest, longest = down((earliest_ns - stamps[k, 1]) * 1e-9), up((latest_ns - stamps[k, 0]) * 1e-9)
         if shortest <= 0.0:
             continue
-        went = widen(scale(0.5, (gone[0] + gone[1], gone[0] + gone[1])), up(0.5 * (slips[0] + slips[1])))
+        went = widen(scale(0.5, (left + right, left + right)), up(0.5 * (left_slips + right_slips)))
         if geared:
             first = last_not_after(times, begin, end, stamps[k, 0])
             after = first_not_before(times, begin, end, stamps[k, 1])
@@ -119,8 +122,8 @@ def follow(
                 c = mid(gauge)
                 half = scale(0.5, mul((c, c), turned))
                 half = widen(half, up(reach(gauge, c) * ((effort[b, 2] - effort[first, 2]) * QUANTUM)))
-                went = meet(went, widen(add((gone[0], gone[0]), half), slips[0]))
-                went = meet(went, widen(add((gone[1], gone[1]), neg(half)), slips[1]))
+                went = meet(went, widen(add((left, left), half), left_slips))
+                went = meet(went, widen(add((right, right), neg(half)), right_slips))
         if is_empty(went):  # that tracks and gyroscope contradict each other is found elsewhere
             continue
         least = down(went[0] / (shortest if went[0] < 0.0 else longest))
