@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
@@ -50,11 +51,14 @@ def replay(
     loaded = configuration_of(recording, capture, config)
     with ExitStack() as stack:
         on_pose: Callable[[BoundedPose], None] | None = None
+        newest: BoundedPose | None = None
         if poses is not None:
             stack.enter_context(named_in_errors(poses))
             lines = stack.enter_context(poses.open("w", encoding="utf-8"))
 
             def on_pose(pose: BoundedPose) -> None:
+                nonlocal newest
+                newest = pose
                 print(write_pose(pose).decode(), file=lines)
 
         devices = recorded_devices(loaded, recording)
@@ -63,6 +67,8 @@ def replay(
             pipeline = replay_through_ports(loaded, chunks, devices, on_pose)
         else:
             pipeline = replay_directly(loaded, chunks, on_pose, devices)
+        if on_pose is not None and newest is not None and newest.guarantee != pipeline.filter.guarantee:
+            on_pose(replace(newest, guarantee=pipeline.filter.guarantee))  # by what came after the last scan
     _report(pipeline, recording)
     if map is not None:
         save_map(pipeline, map)

@@ -15,6 +15,7 @@ from mapper.saved_map import load as load_map
 from service.commands.evaluation import PoseSets, check_bounds
 from service.commands.port_drive import PortDrive
 from service.commands.replay import replay
+from service.messages import guarantee_message, guarantee_of, read_pose
 from service.replay import replay as replay_directly
 from simulator.emulators.sick_lms import SickLmsEmulator
 from simulator.wire import as_heard
@@ -54,6 +55,29 @@ def test_a_replay_is_the_live_run_bit_for_bit(port_drive: PortDrive, tmp_path: P
     replay(port_drive.capture, map=tmp_path / "map.npz", poses=tmp_path / "poses.jsonl", ports=ports)
     assert (tmp_path / "map.npz").read_bytes() == port_drive.map.read_bytes()
     assert (tmp_path / "poses.jsonl").read_bytes() == port_drive.poses.read_bytes()
+
+
+def test_poses_that_a_later_measurement_takes_back_are_told_so_by_the_last_line(
+    port_drive: PortDrive, tmp_path: Path
+) -> None:
+    """Wheels whose scale is wrong contradict after the last scan: the file's last word is the map's, not `intact`."""
+    recording = read_capture(port_drive.capture)
+    (tmp_path / "tracks.dbc").write_text(recording.dbc_text)
+    config = tmp_path / "wrong.toml"
+    config.write_text(recording.config_text.replace("metres_per_tick = 0.0002", "metres_per_tick = 0.0004"))
+    replay(port_drive.capture, config=config, map=tmp_path / "whole.npz")
+    contradicted_ns = guarantee_of(load_map(tmp_path / "whole.npz").guarantee).contradicted_ns
+    assert contradicted_ns is not None
+    writer = CaptureWriter(tmp_path / "drive.mcap", recording.config_text, recording.dbc_text)
+    for chunk in recording:
+        if chunk.device != "laser" or chunk.stamp_ns < contradicted_ns - 200_000_000:
+            writer.write(chunk.device, chunk.data, chunk.stamp_ns, chunk.stamp_ns, chunk.late_ns)
+    writer.close()
+    replay(tmp_path / "drive.mcap", config=config, map=tmp_path / "map.npz", poses=tmp_path / "poses.jsonl")
+    poses = [read_pose(line.encode()) for line in (tmp_path / "poses.jsonl").read_text().splitlines()]
+    assert poses[0].guarantee.intact
+    assert not poses[-1].guarantee.intact
+    assert guarantee_message(poses[-1].guarantee) == guarantee_of(load_map(tmp_path / "map.npz").guarantee)
 
 
 @pytest.mark.parametrize("told", [True, False], ids=["all but one answer is heard", "it streams already"])
