@@ -68,6 +68,14 @@ def test_honest_bounds_are_never_contradicted(law: str) -> None:
     assert {key: usage.used for key, usage in weighed(law).items() if usage.used > 1.0 + 1e-6} == {}
 
 
+@pytest.mark.parametrize("law", ["corners", "uniform"])
+def test_a_scanner_within_its_bounds_that_looks_down_at_the_ground_is_not_suspected(law: str) -> None:
+    """Beams graze the ground, and wander by what a tilting beam does to their length, beside the range's own error."""
+    usage = weighed(law)["devices.laser.range_bound_m"]
+    assert usage.readings > 1000
+    assert usage.verdict is Verdict.USED
+
+
 @pytest.mark.parametrize("key", AT_THE_CORNERS)
 def test_errors_at_the_corners_use_up_their_bound(key: str) -> None:
     """Nearly all of it is proved to be needed, and all of it is seen."""
