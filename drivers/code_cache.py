@@ -1,11 +1,17 @@
-"""Machine code on disk: never older than its sources, written by one process at a time, and quickly back in memory.
+"""Machine code on disk: never older than its sources, whole or not believed, and quickly back in memory.
 
 numba's cache is slow to read: it first makes ready to compile (0.3 s), and parses each function's bitcode, which only a
 compilation of its callers needs (5 ms a function). Here both wait until something is compiled, which a start of the
 service with a warm cache never does (docs/decisions/0030).
+
+What a power cut or a disk has damaged is compiled again, and so is what a full disk had no room for: no start fails by
+it, and no damaged code runs.
 """
 
+import contextlib
 import fcntl
+import pickle
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
@@ -21,6 +27,7 @@ from drivers.code_folder import code_folder
 KNOWN_NUMBA = ((0, 68),)
 """Versions whose loading of code is known to be what `_LinkedLater` and `_QuickCache` take the place of. Another one
 reads its cache in its own way: slower, and just as right."""
+_CRC_BYTES = 4
 
 
 def kept_on_disk(dispatcher: Any) -> Any:
@@ -31,7 +38,7 @@ def kept_on_disk(dispatcher: Any) -> Any:
 
 
 class CacheFile(IndexDataCacheFile):
-    """A function's index and code files, written while no other process writes any in this folder.
+    """A function's index and code files, each with a checksum; written while no other process writes any in the folder.
 
     numba names a file in its index before it writes the file: of two processes that compile a function for different
     types at the same time, one would find the other's code under its own types.
@@ -42,6 +49,34 @@ class CacheFile(IndexDataCacheFile):
         with Path(self._cache_path, ".lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             super().save(key, data)
+
+    def _save_index(self, overloads: Any) -> None:
+        self._write(self._index_path, (self._version, overloads))
+
+    def _load_index(self) -> Any:
+        version, overloads = self._read(self._index_path) or (None, {})
+        return overloads if version == self._version else {}
+
+    def _save_data(self, name: str, data: Any) -> None:
+        self._write(self._data_path(name), data)
+
+    def _load_data(self, name: str) -> Any:
+        return self._read(self._data_path(name))
+
+    def _write(self, path: str, content: Any) -> None:
+        pickled = self._dump(content)
+        with self._open_for_write(path) as file:
+            file.write(zlib.crc32(pickled).to_bytes(_CRC_BYTES, "little") + pickled)
+
+    @staticmethod
+    def _read(path: str) -> Any:
+        """What `_write` wrote; None where it is not there, or no longer whole."""
+        try:
+            stored = memoryview(Path(path).read_bytes())
+        except OSError:
+            return None
+        crc, pickled = stored[:_CRC_BYTES], stored[_CRC_BYTES:]
+        return pickle.loads(pickled) if zlib.crc32(pickled) == int.from_bytes(crc, "little") and pickled else None
 
 
 class _ByItsSources(_CacheLocator):
@@ -78,6 +113,11 @@ class _Cache(FunctionCache):
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
         self._cache_file = CacheFile(self._cache_path, self._impl.filename_base, self._impl.locator.get_source_stamp())
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep a function's code for these types, if the disk takes it."""
+        with contextlib.suppress(OSError):
+            super().save_overload(sig, data)
 
 
 _LINKED_LATER = "object, linked later"

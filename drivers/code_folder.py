@@ -4,6 +4,7 @@ numba's cache looks only at the file that defines a function: a callee edited in
 code in place. NUMBA_CACHE_DIR, where set (the systemd unit sets it), is the parent folder.
 """
 
+import contextlib
 import hashlib
 import os
 import re
@@ -43,17 +44,22 @@ def sources(module: Path) -> list[Path]:
 
 @cache
 def code_folder(module: Path) -> str:
-    """Where `module` keeps its machine code: in NUMBA_CACHE_DIR, else the user's cache folder, else a temporary one."""
+    """Where `module` keeps its machine code: in NUMBA_CACHE_DIR, else the user's cache folder, else a temporary one.
+
+    Where nothing at all can be written (a full disk) it is the first of them, and what is written there fails.
+    """
     digest = hashlib.sha256(b"".join(_imports(path)[0] for path in sources(module)))
     named = os.environ.get("NUMBA_CACHE_DIR")
     home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     parents = [Path(named)] if named else [Path(home) / "terrabound"]
-    for parent in [*parents, Path(tempfile.gettempdir()) / f"terrabound-{os.getuid()}"]:
-        folder = parent / digest.hexdigest()[:16]
-        try:
+    with contextlib.suppress(OSError):
+        parents.append(Path(tempfile.gettempdir()) / f"terrabound-{os.getuid()}")
+    folders = [parent / digest.hexdigest()[:16] for parent in parents]
+    for folder in folders:
+        with contextlib.suppress(OSError):
             folder.mkdir(parents=True, exist_ok=True)
-        except OSError:
-            continue
-        if os.access(folder, os.W_OK):
-            return str(folder)
-    return tempfile.mkdtemp(prefix="terrabound-")
+            if os.access(folder, os.W_OK):
+                return str(folder)
+    with contextlib.suppress(OSError):
+        return tempfile.mkdtemp(prefix="terrabound-")
+    return str(folders[0])

@@ -2,8 +2,10 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +73,7 @@ def caller(values):
 out["called"] = caller(np.ones(4))
 out["again"] = [total(np.ones(4)), total(np.ones(4, np.float32))]  # of a type that is not on disk
 """
+NO_ROOM = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))"
 IN_NUMBAS_WAY = "from drivers import code_cache; code_cache.KNOWN_NUMBA = ()"
 
 
@@ -128,3 +131,33 @@ def test_with_another_numba_its_own_way_is_taken(tmp_path: Path) -> None:
     assert first["misses"] == second["hits"] == [1, 1, 1, 1]
     assert second["ready_to_compile"]
     assert WANTED.items() <= second.items()
+
+
+DAMAGE: dict[str, Callable[[bytes], bytes]] = {
+    "kept.halved*.nbi": lambda data: b"",
+    "kept.scale*.nbi": lambda data: data[:-9] + bytes((data[-9] ^ 1,)) + data[-8:],
+    "kept.total*.nbc": lambda data: data[:-20],
+    "kept.checked*.nbc": lambda data: data[:2000] + bytes((data[2000] ^ 1,)) + data[2001:],
+}
+
+
+def test_what_is_damaged_on_disk_is_compiled_again(kept: tuple[Path, Any], tmp_path: Path) -> None:
+    """After a power cut files may be empty or cut short, or a bit has turned: none of it runs or ends the program."""
+    folder = tmp_path / "kept"
+    shutil.copytree(kept[0], folder)
+    for files, damage in DAMAGE.items():
+        damaged = list(folder.rglob(files))
+        assert damaged
+        for path in damaged:
+            path.write_bytes(damage(path.read_bytes()))
+    again, after = _run(folder), _run(folder)
+    assert again["misses"] == after["hits"] == [1, 1, 1, 1]
+    assert WANTED.items() <= again.items()
+
+
+def test_a_full_disk_keeps_nothing_and_ends_nothing(tmp_path: Path) -> None:
+    """What can't be kept is compiled at each start."""
+    full = _run(tmp_path, patch=NO_ROOM)
+    assert full["misses"] == [1, 1, 1, 1]
+    assert WANTED.items() <= full.items()
+    assert not list(tmp_path.rglob("*.nb?"))
