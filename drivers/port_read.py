@@ -17,7 +17,10 @@ from drivers.record_pipe import EMPTY_NS, LOST, LOST_BYTES, PORT, READ_NS, RECOR
 
 EMPTY, READ, SEEN_EMPTY, LOST_SO_FAR = 0, 1, 2, 3
 """In `times`, monotonic nanoseconds: none of the bytes read came before EMPTY; they were read at READ; and the port was
-last seen empty at SEEN_EMPTY, which may be later. LOST_SO_FAR: bytes that were read, and found the pipe full."""
+last seen empty at SEEN_EMPTY, which may be later. LOST_SO_FAR: bytes that were read, and found the pipe full.
+
+Only a look that finds nothing sees a port empty: Linux brings in what lies in its reserve first. A read that gives
+little does not tell: more may lie there (docs/decisions/0052)."""
 NOTHING, GONE, INTERRUPTED, WOKEN = 0, -1, -2, -3
 """Instead of a count of bytes: the time is over; the port can't be read (ask it for the error); a signal has come;
 `wake_fd` can be read."""
@@ -29,7 +32,6 @@ def read_interpreted(
     fd: int,
     wake_fd: int,
     timeout_ns: int,
-    full: int,
     watched: NDArray[np.int32],
     moment: NDArray[np.int64],
     times: NDArray[np.int64],
@@ -41,14 +43,14 @@ def read_interpreted(
     port.register(fd, select.POLLIN)
     if wake_fd >= 0:
         port.register(wake_fd, select.POLLIN)
-    ready = [number for number, _ in port.poll(timeout_ns / _MS)]
-    if not ready:
-        # It gave up no earlier than it was asked to, and found nothing then.
-        times[SEEN_EMPTY] = before_ns + timeout_ns
-        return NOTHING
-    if fd not in ready:
+    if not (ready := port.poll(0)):
+        times[SEEN_EMPTY] = before_ns
+        if not (ready := port.poll(timeout_ns / _MS)):
+            # It gave up no earlier than it was asked to, and found nothing then.
+            times[SEEN_EMPTY] = before_ns + timeout_ns
+            return NOTHING
+    if fd not in dict(ready):
         return WOKEN
-    begun_ns = time.monotonic_ns()
     try:
         count = os.readv(fd, [buffer.data])
     except OSError:
@@ -57,8 +59,6 @@ def read_interpreted(
     if count == 0:
         return GONE
     times[EMPTY] = times[SEEN_EMPTY]
-    if count < full:
-        times[SEEN_EMPTY] = begun_ns
     return count
 
 
@@ -68,7 +68,6 @@ def pump_interpreted(
     sink_fd: int,
     alarm: NDArray[np.int64],
     timeout_ns: int,
-    full: int,
     watched: NDArray[np.int32],
     moment: NDArray[np.int64],
     times: NDArray[np.int64],
@@ -76,7 +75,7 @@ def pump_interpreted(
     buffer: NDArray[np.uint8],
 ) -> int:
     """What `unlocked_read.pump_port` does, in the interpreter, for one read."""
-    count = read_interpreted(fd, wake_fd, timeout_ns, full, watched, moment, times, buffer)
+    count = read_interpreted(fd, wake_fd, timeout_ns, watched, moment, times, buffer)
     if count <= 0:
         return count
     record[READ_NS], record[EMPTY_NS] = times[READ], times[EMPTY]
@@ -94,16 +93,15 @@ def pump_interpreted(
 
 
 read_when_ready: Callable[..., int] = read_interpreted
-"""read_when_ready(fd, wake_fd, timeout_ns, full, watched, moment, times, buffer), as it is done at present (look it up
+"""read_when_ready(fd, wake_fd, timeout_ns, watched, moment, times, buffer), as it is done at present (look it up
 at each call): wait until port `fd` has bytes, at most `timeout_ns` and until `wake_fd` (-1: none) can be read; how many
 were read into `buffer`, or one of the above.
 
-times [4] goes on from call to call. A read of `full` bytes or more may have left some behind: then the port has not
-been seen empty. watched [4] and moment [2] are room for this call alone.
+times [4] goes on from call to call. watched [4] and moment [2] are room for this call alone.
 """
 
 pump_port: Callable[..., int] = pump_interpreted
-"""pump_port(fd, wake_fd, sink_fd, alarm, timeout_ns, full, watched, moment, times, record, buffer), likewise: read port
+"""pump_port(fd, wake_fd, sink_fd, alarm, timeout_ns, watched, moment, times, record, buffer), likewise: read port
 `fd` again and again, write each read to the pipe `sink_fd` and look at its `alarm`, until `timeout_ns` are over or
 something else has happened: one of the above.
 

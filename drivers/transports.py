@@ -32,8 +32,6 @@ from drivers.record_pipe import (
 )
 
 WRITE_PATIENCE_S = 1.0
-_FULL_BYTES = 2048
-"""A read of so much may have left bytes behind: a terminal's buffer holds 4095, with more bytes in reserve."""
 
 
 class Transport(Protocol):
@@ -106,7 +104,7 @@ class SerialTransport:
         """What has arrived; waits for the first byte at most `timeout_s`, then b""."""
         timeout_ns = int(max(0.0, timeout_s) * 1e9)
         count = port_read.read_when_ready(
-            self._fd, -1, timeout_ns, _FULL_BYTES, self._watched, self._moment, self._times, self._buffer
+            self._fd, -1, timeout_ns, self._watched, self._moment, self._times, self._buffer
         )
         if count >= 0:
             return self._buffer[:count].tobytes()
@@ -117,7 +115,7 @@ class SerialTransport:
         self._record[PORT], self._record[OPENING], self._record[RECEIVED_NS] = port, opening, NOT_STAMPED
         lasting_ns = int(lasting_s * 1e9)
         room = self._watched, self._moment, self._times, self._record, self._buffer
-        happened = port_read.pump_port(self._fd, wake_fd, pipe.sink_fd, pipe.alarm, lasting_ns, _FULL_BYTES, *room)
+        happened = port_read.pump_port(self._fd, wake_fd, pipe.sink_fd, pipe.alarm, lasting_ns, *room)
         if happened == GONE and (data := self._read_or_why_not()):
             times = {"read_ns": self.read_ns, "empty_ns": self.empty_ns, "received_ns": NOT_STAMPED}
             if not pipe.put(port, opening, len(data), data=data, **times):

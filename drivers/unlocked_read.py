@@ -46,7 +46,6 @@ def read_when_ready(
     fd: int,
     wake_fd: int,
     timeout_ns: int | np.int64,
-    full: int,
     watched: NDArray[np.int32],
     moment: NDArray[np.int64],
     times: NDArray[np.int64],
@@ -73,14 +72,11 @@ def read_when_ready(
             return NOTHING
         left_ns = until_ns - now_ns
         wait_ns = np.int64(left_ns if left_ns < LOOK_NS else LOOK_NS)
-    begun_ns = _now_ns(moment)
     count: int = _read(fd, buffer.ctypes.data, buffer.size)
     times[READ] = _now_ns(moment)
     if count <= 0:
         return GONE
     times[EMPTY] = times[SEEN_EMPTY]
-    if count < full:
-        times[SEEN_EMPTY] = begun_ns
     return count
 
 
@@ -91,7 +87,6 @@ def pump_port(
     sink_fd: int,
     alarm: NDArray[np.int64],
     timeout_ns: int,
-    full: int,
     watched: NDArray[np.int32],
     moment: NDArray[np.int64],
     times: NDArray[np.int64],
@@ -102,7 +97,7 @@ def pump_port(
     until_ns = _now_ns(moment) + timeout_ns
     while True:
         left_ns = max(until_ns - _now_ns(moment), np.int64(0))
-        count: int = read_when_ready(fd, wake_fd, left_ns, full, watched, moment, times, buffer)
+        count: int = read_when_ready(fd, wake_fd, left_ns, watched, moment, times, buffer)
         if count == INTERRUPTED:
             continue
         if count <= 0:
@@ -130,9 +125,9 @@ def compile_read() -> None:
         np.zeros(4, np.int64),
         np.zeros(1, np.uint8),
     )
-    assert read_when_ready(-1, -1, 0, 1, room, moment, times, buffer) == NOTHING
+    assert read_when_ready(-1, -1, 0, room, moment, times, buffer) == NOTHING
     alarm = np.zeros(ALARM_WORDS, np.int64)
-    assert pump_port(-1, -1, -1, alarm, 0, 1, room, moment, times, times, buffer) == NOTHING
+    assert pump_port(-1, -1, -1, alarm, 0, room, moment, times, times, buffer) == NOTHING
 
 
 @compiled_unlocked
