@@ -12,6 +12,7 @@ import zipfile
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from glob import escape
 from math import inf, isfinite
 from pathlib import Path
 from typing import IO, Any
@@ -164,6 +165,7 @@ def write_whole(path: Path, write: Callable[[IO[bytes]], None]) -> None:
             with path.open("wb") as file:
                 write(file)
             return
+        _remove_abandoned(target)
         with temporary.open("wb") as file:
             write(file)
             file.flush()
@@ -174,3 +176,12 @@ def write_whole(path: Path, write: Callable[[IO[bytes]], None]) -> None:
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+def _remove_abandoned(target: Path) -> None:
+    """Remove temporary files of processes that were killed while they wrote: one a crash would fill the disk."""
+    for temporary in target.parent.glob(f".{escape(target.name)}.*.part"):
+        pid = temporary.name.removesuffix(".part").rpartition(".")[2]
+        if pid.isdigit() and not Path("/proc", pid).exists():
+            with suppress(OSError):
+                temporary.unlink()

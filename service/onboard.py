@@ -180,9 +180,10 @@ class Onboard:
 
     @property
     def _map_path(self) -> Path | None:
-        """Where the configuration wants the map's file."""
+        """Where the configuration wants the map's file; nowhere while an empty one would take its place."""
         wanted = self._loaded.config.store.map
-        return None if wanted is None else self._loaded.path(wanted)
+        path = None if wanted is None else self._loaded.path(wanted)
+        return None if path is None or (self.pipeline.map.tile_count == 0 and path.exists()) else path
 
     def _save_in_passing(self) -> None:
         """Copy the map, and have it written: nothing else waits for the disk."""

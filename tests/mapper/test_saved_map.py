@@ -126,6 +126,16 @@ def test_a_failed_save_leaves_the_old_file(tmp_path: Path) -> None:
         save(a_map(), tmp_path / "nowhere" / "a.npz")
 
 
+def test_what_killed_processes_left_is_removed_by_the_next_save(tmp_path: Path) -> None:
+    """Each kill -9 in a save leaves a part; those of processes that still write, and of others' maps, stay."""
+    dead = subprocess.run(["sh", "-c", "echo $$"], capture_output=True, text=True, check=True).stdout.strip()
+    stays = [f".b.npz.{dead}.part", f".a.npz.{os.getppid()}.part", ".a.npz.old.part"]
+    for name in (f".a.npz.{dead}.part", *stays):
+        (tmp_path / name).touch()
+    save(a_map(), tmp_path / "a.npz")
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["a.npz", *stays])
+
+
 def test_files_that_are_no_map_are_named(tmp_path: Path) -> None:
     """Absent, empty, foreign, incomplete and cut files: one error type that names the file."""
     save(a_map(), tmp_path / "good.npz")
