@@ -27,7 +27,7 @@ TICK_S = 0.5
 SLOW_START_S = 6.0
 STILL_LOADING = (
     "still loading: a first start makes machine code for this computer, which takes a minute or more (once); "
-    "Ctrl-C twice ends it"
+    "Ctrl-C ends it"
 )
 SWITCH_S = 0.001
 """So long a thread that wants the interpreter waits for one that is busy; 5 ms would be half of a tile's time."""
@@ -47,17 +47,18 @@ def run(*, config: Path) -> int:
     """
     loaded = load_for_ports(config)
     record = loaded.config.record.path
-    notifier = ServiceNotifier()
-    with stop_on_signals() as ended:
+    notifier, loading = ServiceNotifier(), _Loading()
+    with stop_on_signals(tell=loading.leave) as ended:
         ahead = SessionAhead(loaded.config.publish)
         capture = None if record is None else unused_path(loaded.path(record), datetime.now(UTC))
-        readers = Readers(loaded, SystemClock(), capture=capture)
+        loading.readers = readers = Readers(loaded, SystemClock(), capture=capture)
         try:
             readers.open_recording()
         except CaptureError as error:  # the map is worth more than the recording
             readers.health.trouble("recording", f"record.path: {error}; nothing is recorded until the next start")
         with _told_if_slow(notifier):
             onboard = _onboard(loaded, readers, ahead)
+        loading.over = True
         notifier.ready()
         console = _Console(onboard.health)
         saved_ns = time.monotonic_ns()
@@ -109,6 +110,25 @@ def unused_path(pattern: Path, now: datetime) -> Path:
         number += 1
         path = path.with_name(f"{Path(now.strftime(pattern.name)).stem}-{number}{pattern.suffix}")
     return path
+
+
+class _Loading:
+    """Until the service works it has no map to save: who tells it to stop does not wait for a minute of compiling."""
+
+    def __init__(self) -> None:
+        self.readers: Readers | None = None
+        self.over = False
+
+    def leave(self, signal_name: str) -> None:
+        """End the process, on the thread that hears of signals; what was recorded stays."""
+        if self.over:
+            return
+        try:
+            if self.readers is not None:
+                self.readers.stop()
+                self.readers.close()
+        finally:
+            os._exit(0)
 
 
 @contextmanager

@@ -2,10 +2,12 @@
 
 import contextlib
 import json
+import os
 import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -126,6 +128,39 @@ def test_a_console_that_takes_nothing_does_not_end_the_drive(folder: Path) -> No
         finally:
             service.kill()
     assert list(read_capture(folder / "drive.mcap")) == []
+
+
+def test_a_run_that_maps_nothing_leaves_an_earlier_map_as_it_is(folder: Path) -> None:
+    """A service that starts again after a crash, its sensors not there: an empty map does not replace the drive's."""
+    config, kept = configured(folder, more='\n[store]\nmap = "kept.npz"\n'), folder / "kept.npz"
+    for expected in (None, b"a map"):
+        if expected is not None:
+            kept.write_bytes(expected)
+        with running(config) as service:
+            heard(service, "no such port")
+            heard(service, "no such port")
+            code, said = end(service)
+        assert code == 0, said
+        assert expected is None or kept.read_bytes() == expected
+
+
+def test_a_first_start_can_be_ended(folder: Path) -> None:
+    """Nobody waits until all machine code is made: exit 0, and the recording is whole."""
+    code, recording = folder / "code", folder / "drive.mcap"
+    config = configured(folder, more='\n[record]\npath = "drive.mcap"\n')
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(code)}
+    service = subprocess.Popen(command("run", "--config", config), stderr=subprocess.PIPE, text=True, env=environment)
+    try:
+        deadline = time.monotonic() + PATIENCE_S
+        while not list(code.rglob("*.nbc")):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        exit_code, said = end(service)
+    finally:
+        service.kill()
+    assert (exit_code, "Traceback" in said) == (0, False), said
+    assert len(list(code.rglob("*.nbc"))) < 30  # of some 150
+    assert not read_capture(recording).truncated
 
 
 def test_a_recording_never_takes_the_place_of_another(tmp_path: Path) -> None:
