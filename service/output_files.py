@@ -36,6 +36,14 @@ def refuse_unwritable(outputs: Iterable[Path | None], inputs: Iterable[Path | No
             raise OutputError(f"{path}: can't be written: the folder {folder} can't be written to; name another")
 
 
+def make_folder(path: Path) -> None:
+    """Make the folder that a command leaves things in, if it isn't there. Raises OutputError where it can't be."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{path}: can't be made a folder: {error.strerror}; name another") from None
+
+
 @contextmanager
 def named_in_errors(path: Path) -> Iterator[None]:
     """A full disk is told with the file that it has no room for. Raises OutputError."""

@@ -39,9 +39,10 @@ class Truth:
     """World x, y, z and yaw of the map frame, where this truth stands in the map frame; None: world frame."""
 
     def save(self, path: Path | str) -> None:
-        """Write an .npz; who finds the file finds it whole."""
-        path = Path(path)
-        draft = path.with_name(path.name + ".new")
+        """Write an .npz; who finds the file finds it whole. A link, a device or a pipe stays what it is."""
+        path = Path(path).resolve()
+        is_file = path.is_file() or not path.exists()
+        draft = path.with_name(path.name + ".new") if is_file else path
         with draft.open("wb") as file:
             np.savez(
                 file,
@@ -56,7 +57,8 @@ class Truth:
                 origin=self.origin,
                 **({} if self.map_origin is None else {"map_origin": self.map_origin}),  # type: ignore[arg-type]
             )
-        draft.replace(path)
+        if is_file:
+            draft.replace(path)
 
     @classmethod
     def load(cls, path: Path | str) -> "Truth":

@@ -49,7 +49,7 @@ def check_bounds(capture: Path, config: Path | None = None, report: Path | None 
 def _print(usages: list[Usage], begin_ns: int, seconds: float, recording: Capture) -> None:
     """What was seen as a table; what needs words, below it."""
     console = Console()
-    cut = ", cut short" if recording.truncated else ""
+    cut = ", cut short or damaged there" if recording.truncated else ""
     title = f"{recording.path.name}: {seconds:.0f} s{cut}"
     console.print(title, markup=False, highlight=False, soft_wrap=True)
     table = Table(

@@ -32,7 +32,7 @@ from service.lifecycle import interrupted_later, terminated_like_interrupted
 from service.loopback import free_locator
 from service.messages import write_pose
 from service.onboard import Onboard
-from service.output_files import refuse_unwritable, write_text
+from service.output_files import make_folder, refuse_unwritable, write_text
 from service.shipped import shipped_config
 
 Scene = Literal["stairs", "rough", "ramp", "flat"]
@@ -75,7 +75,7 @@ def demo(
         Write the results as JSON here, too.
     """
     console = Console(stderr=True)
-    output.mkdir(parents=True, exist_ok=True)
+    make_folder(output)
     refuse_unwritable((report,))
     (output / "drive.mcap").unlink(missing_ok=True)
     with ExitStack() as stack:

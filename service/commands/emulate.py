@@ -13,10 +13,10 @@ from cyclopts import App, Parameter, validators
 
 from drivers.clock import LockstepClock
 from drivers.errors import ConfigurationError
-from service.commands.emulate_device import EXAMPLES
+from service.commands.emulate_device import BAD_USAGE, EXAMPLES
 from service.config import LoadedConfig, load
 from service.lifecycle import stop_on_signals
-from service.output_files import refuse_unwritable
+from service.output_files import make_folder, refuse_unwritable
 from service.robot_model import robot_model
 from service.shipped import shipped_config
 from simulator.emulated_devices import DEVICES
@@ -94,8 +94,13 @@ def robot(
         Tell the progress as JSON lines on standard output.
     """
     if clock is None and speed != 1.0:
-        raise ConfigurationError("--speed other than 1 needs --clock: hosts must share the emulated time")
+        return _misused("--speed other than 1 needs --clock: hosts must share the emulated time")
+    if scene == "dem" and terrain is None:
+        return _misused("--scene dem needs --terrain FILE, an elevation model (.asc or .npz)")
+    if scene != "dem" and terrain is not None:
+        return _misused(f"--terrain goes with --scene dem, and --scene {scene} would be built without it")
     refuse_unwritable((truth,), inputs=(config, terrain))
+    make_folder(links)
     progress = print_progress if json_progress else _Line()
     _emulate(_loaded(config), links, scene, terrain, duration, speed, seed, errors, clock, truth, progress)
     return 0
@@ -103,6 +108,11 @@ def robot(
 
 for _device, _examples in EXAMPLES.items():
     app.command(_device, help_epilogue=_examples)
+
+
+def _misused(why: str) -> int:
+    print(f"terrabound emulate robot: {why}", file=sys.stderr)
+    return BAD_USAGE
 
 
 class _Line:
@@ -134,8 +144,6 @@ def _emulate(
     on_progress: Callable[[Progress], None],
 ) -> None:
     """Build the world and run it until the drive is over or somebody stops it."""
-    if scene == "dem" and terrain is None:
-        raise ConfigurationError("--scene dem needs --terrain FILE, an elevation model (.asc or .npz)")
     start_ns = time.monotonic_ns() if clock_path is None else LOCKSTEP_START_NS
     devices = loaded.config.devices
     try:

@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Literal, TypeAlias
 
 from cyclopts import Parameter, validators
@@ -178,8 +179,8 @@ def _tell(alone: DeviceAlone) -> None:
     kind = "lms" if alone.name == "laser" else alone.name
     more = ""
     if alone.name == "encoders":
-        more = f" --dbc {shipped_config('tracks.dbc')} --left TRACKS.LEFT --right TRACKS.RIGHT"
-    hear = f"terrabound listen {kind} {alone.link}{more}"
+        more = f" --dbc {quote(str(shipped_config('tracks.dbc')))} --left TRACKS.LEFT --right TRACKS.RIGHT"
+    hear = f"terrabound listen {kind} {quote(str(alone.link))}{more}"
     print(f"{alone.name}: emulated on {alone.link}; hear it: {hear}; Ctrl-C ends it", file=sys.stderr, flush=True)
 
 

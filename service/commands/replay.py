@@ -36,7 +36,8 @@ def replay(
     Parameters
     ----------
     capture
-        A recording made by run, record or demo (.mcap); one that was cut short replays up to the cut.
+        A recording made by run, record or demo (.mcap); one that was cut short, or is damaged,
+        replays up to there.
     config
         Use these declared bounds instead of those in the capture.
     map
@@ -113,5 +114,5 @@ def _report(pipeline: Pipeline, recording: Capture) -> None:
     counts = " ".join(f"{name}={count}" for name, count in sorted(told.items()))
     guarantee = pipeline.filter.guarantee
     promise = "bounds hold" if guarantee.intact else f"bounds void: contradicted by {guarantee.sensor}"
-    cut = "; the recording is cut short, replayed up to the cut" if recording.truncated else ""
+    cut = "; the recording is cut short, or damaged inside: replayed up to there" if recording.truncated else ""
     print(f"{counts} cells={pipeline.map.cells_seen}: {promise}{cut}", file=sys.stderr)

@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from bench.paper import experiment
 from bench.paper.experiment import Outcome
 from drivers.errors import TerraboundError
-from service.output_files import write_text
+from service.output_files import make_folder, write_text
 
 EXPERIMENTS = ("table1", "stairs", "snow")
 
@@ -45,7 +45,7 @@ def reproduce(
     """
     if find_spec("matplotlib") is None:
         raise TerraboundError("pictures need matplotlib: pip install 'terrabound[plots]'")
-    output.mkdir(parents=True, exist_ok=True)
+    make_folder(output)
     console = Console()
     broken: list[str] = []
     for name in EXPERIMENTS if what == "all" else (what,):

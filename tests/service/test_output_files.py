@@ -56,6 +56,9 @@ def test_no_command_overwrites_what_it_reads(
         ("demo --report none/report.json", "there is no folder"),
         ("replay none.mcap --map one --poses ./one", "is to be written twice"),
         ("emulate robot --truth none/truth.npz", "there is no folder"),
+        ("emulate robot --links file/ports", "file/ports: can't be made a folder: Not a directory"),
+        ("demo --output file", "file: can't be made a folder: File exists"),
+        ("reproduce table1 --output file", "file: can't be made a folder: File exists"),
     ],
 )
 def test_an_output_that_cannot_be_written_is_told_before_the_work(
@@ -63,6 +66,7 @@ def test_an_output_that_cannot_be_written_is_told_before_the_work(
 ) -> None:
     """Before the recording is even opened, or the robot looked for: an hour of watching is not thrown away."""
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").touch()
     assert run_command(arguments.split()) == 1
     assert told in capfd.readouterr().err
 

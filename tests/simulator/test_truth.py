@@ -1,5 +1,6 @@
 """The judge: does it see every violation, and none where there is none?"""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,6 +35,19 @@ def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
         for name in Truth.__slots__:
             np.testing.assert_array_equal(getattr(loaded, name), getattr(original, name))
     assert [path.name for path in tmp_path.iterdir()] == ["truth.npz"]
+
+
+def test_a_pipe_is_written_to_and_a_link_stays(tmp_path: Path) -> None:
+    """What the system or somebody else put there is not taken away: `--truth /dev/null` is no file to be replaced."""
+    pipe, link, file = (tmp_path / name for name in ("pipe", "link", "file.npz"))
+    os.mkfifo(pipe)
+    held = os.open(pipe, os.O_RDWR | os.O_NONBLOCK)  # whoever writes need not wait for a reader
+    truth(20, 10).save(pipe)
+    link.symlink_to(file)
+    truth().save(link)
+    assert (pipe.is_fifo(), link.is_symlink(), os.read(held, 4)) == (True, True, b"PK\x03\x04")
+    os.close(held)
+    np.testing.assert_array_equal(Truth.load(file).pose, truth().pose)
 
 
 def test_the_map_frame_begins_at_zero_and_keeps_distances_and_tilt() -> None:
