@@ -27,7 +27,7 @@ from rich.progress import track
 from bench.machine import heading
 from bench.prove_poses import holds, in_frame
 from bench.random_robot import Robot, declared, random_robot
-from bench.uneven_readings import Reading, readings_of, standstill_rate
+from bench.uneven_readings import Reading, readings_of, standing
 from drivers.samples import WheelTicks
 from estimator.config import FilterConfig
 from estimator.filter import Filter
@@ -119,7 +119,12 @@ def _filter_config(robot: Robot, world: World, readings: list[tuple[int, Reading
     """What is declared of a standing robot is what this one does."""
     if robot.filter.standstill_s is None:
         return robot.filter
-    return replace(robot.filter, standstill_rate_dps=standstill_rate(robot, world, readings) * 1.0001 + 1e-6)
+    rate_dps, way_m = standing(robot, world, readings)
+    return replace(
+        robot.filter,
+        standstill_rate_dps=rate_dps * 1.0001 + 1e-6,
+        standstill_way_m=way_m * 1.0001 + 1e-9 if robot.seed % 3 else None,
+    )
 
 
 def _compare(

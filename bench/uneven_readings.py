@@ -210,15 +210,15 @@ def _told(true: tuple[float, float, float], off: Array) -> tuple[float, float, f
     return lat, lon, alt
 
 
-def standstill_rate(robot: Robot, world: World, readings: list[tuple[int, Reading]]) -> float:
-    """The largest body rate (deg/s) while the tracks, as read, rest for the declared time before and after.
+def standing(robot: Robot, world: World, readings: list[tuple[int, Reading]]) -> tuple[float, float]:
+    """The largest body rate (deg/s) and way (m) while the tracks, as read, rest for the declared time before and after.
 
     A reading that comes after a newer one is none: whoever goes by it sees the tracks move to and fro, and rest later.
     """
     after_s = robot.filter.standstill_s
     assert after_s is not None
     after_ns = int(after_s * 1e9)
-    largest, first, last = 0.0, None, None
+    largest, way, first, last = 0.0, 0.0, None, None
     for t, ticks in readings:
         if not isinstance(ticks, WheelTicks):
             continue
@@ -233,4 +233,5 @@ def standstill_rate(robot: Robot, world: World, readings: list[tuple[int, Readin
         if b >= a and t - after_ns >= first + after_ns:
             # Packets' means and tilt may reach beyond both ends by a row.
             largest = max(largest, float(np.abs(world.drive.rate[max(a - 1, 0) : b + 2]).max()))
-    return float(np.degrees(largest))
+            way = max(way, float(np.linalg.norm(np.ptp(world.drive.pose[a : b + 1, :3], axis=0))))
+    return float(np.degrees(largest)), way

@@ -53,6 +53,9 @@ class FilterConfig:
     """Tracks without a tick for this long before and after: the owner vouches that the robot stands. None: never."""
     standstill_rate_dps: NotNegative | None = None
     """... and that no body rate exceeds this then (vibration). Declared together with standstill_s."""
+    standstill_way_m: NotNegative | None = None
+    """... and that base_link is then, along any axis, no farther than this from where it was before in that time; not
+    used by ellipsoids. None: its place is as little known as that of a robot whose tracks run to and fro in a tick."""
     wrong_fixes: Annotated[int, Field(ge=0, le=14)] = 0
     """GPS: so many of any `wrong_fixes_of` fixes in succession may be anywhere, and the pose still holds, without any
     fault being told. 0: each fix keeps its bound. Fixes that come too late or without a bound don't count."""
@@ -69,6 +72,8 @@ class FilterConfig:
     def _standing_is_declared_whole(self) -> Self:
         if (self.standstill_s is None) != (self.standstill_rate_dps is None):
             raise ValueError("standstill_s and standstill_rate_dps: declare both, or neither")
+        if self.standstill_way_m is not None and self.standstill_s is None:
+            raise ValueError("standstill_way_m: declare standstill_s and standstill_rate_dps too")
         return self
 
     @model_validator(mode="after")

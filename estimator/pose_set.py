@@ -68,7 +68,7 @@ class PoseSet:
         self._position = POSITION_CHAINS[config.set](robot, config, encoders, self._attitude, self.journal)
         self._track_yaw = TrackYaw(robot.turning_gauge_m, self._position.tracks, self._attitude, self.journal)
         self._speed_change = SpeedChange(robot.turning_gauge_m, self._position.tracks, self._attitude, self.journal)
-        self._standstill = Standstill(config.standstill_s, self._attitude)
+        self._standstill = Standstill(config, self._attitude, self._position)
         anchoring = RelaxedAnchoring if config.wrong_fixes else Anchoring
         self._anchoring = anchoring(gps, self._attitude, self._position, self.journal)
         self._tilts: deque[InertialSample] = deque(maxlen=PENDING)
@@ -244,6 +244,7 @@ class PoseSet:
         self._attitude.join(other._attitude)
         self._position.join(other._position)
         self._anchoring.join(other._anchoring)
+        self._standstill.forget_place()
 
 
 def any_measured(axes: tuple[float, ...]) -> bool:

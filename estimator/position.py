@@ -16,11 +16,12 @@ from estimator.config import FilterConfig, RobotConfig
 from estimator.encoder_step import encoder_step
 from estimator.gps_window import GpsWindow
 from estimator.inconsistency import Journal
-from estimator.interval import meet, up, widen
+from estimator.interval import add, meet, up, widen
 from estimator.motion import QUANTUM, TrackBounds
 from estimator.relaxed_window import RelaxedWindow
 from estimator.slip_ledger import SlipLedger
 from estimator.tracks import telescoping_quantum
+from estimator.travelled import travelled_since
 from estimator.tube import Tube
 
 NO_EPOCH = -1
@@ -180,6 +181,30 @@ class PositionChain:
             high = np.minimum(box[:, 1], np.nextafter(before[:, 1] + way, np.inf))
             if np.all(low <= high) and (np.any(low > box[:, 0]) or np.any(high < box[:, 1])):
                 self.contract(np.stack([low, high], axis=1), turns.box[turns.newest, MAP_YAW:].copy())
+
+    def place_at(self, time_ns: int) -> NDArray[np.float64] | None:
+        """[3, 2] the place in the map then; None without nodes around it."""
+        first, last = self.tube.before(time_ns), self.tube.after(time_ns)
+        known = self.tube.begin <= first and last < self.tube.end
+        return self.tube.hull(first, last)[MAP] if known else None
+
+    def hold_place(self, box: NDArray[np.float64], time_ns: int, way: float) -> None:
+        """base_link was within `way` of box [3, 2] of the map at that time: contract the newest place by it."""
+        places = self.tube
+        first, last, here = places.before(time_ns), places.after(time_ns), places.newest
+        if first < places.begin or last > here:
+            return
+        since = travelled_since(places.net, places.swing, first, last, here)
+        narrowed = places.box[here].copy()
+        for c in range(3):
+            there = add(widen((box[c, 0], box[c, 1]), way), (since[c, 0], since[c, 1]))
+            narrowed[c] = meet((narrowed[c, 0], narrowed[c, 1]), there)
+        beyond = float((narrowed[:, 0] - narrowed[:, 1]).max())
+        if beyond > 0.0:
+            self._journal.report("encoders", time_ns, beyond, "m")
+        else:
+            turns = self._attitude.tube
+            self.contract(narrowed, turns.box[turns.newest, MAP_YAW:].copy())
 
     def contract(self, narrowed: NDArray[np.float64], yaws: NDArray[np.float64]) -> bool:
         """The newest place is in narrowed [6, 2], the newest yaws in [2, 2]; False, and all stays, if that can't be."""

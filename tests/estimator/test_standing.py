@@ -3,6 +3,7 @@
 from dataclasses import replace
 from math import nan, radians
 
+import numpy as np
 import pytest
 from pydantic import ValidationError
 
@@ -61,6 +62,31 @@ def test_counts_that_were_read_late_all_at_once_lead_no_farther_than_their_time(
     assert box.low[0] <= -way
     assert way <= box.high[0]
     assert max(box.high[:2] - box.low[:2]) < 2.0 * (1.3 * way + 0.02)
+
+
+WAY_M = 0.003
+
+
+def test_a_robot_that_stands_stays_where_it_is() -> None:
+    """After a minute the place is known as it was after half a one; it may have moved as far as declared."""
+    config = FilterConfig(standstill_s=0.5, standstill_rate_dps=0.02, standstill_way_m=WAY_M)
+    held, widths = standing(declared()[1].imu, config), []
+    for k in range(6001):
+        read(held, k)
+        if k % 3000 == 0 and k:
+            pose = held.latest()
+            assert pose is not None
+            widths.append(pose.high[:3] - pose.low[:3])
+            assert np.all(pose.low[:3] <= -WAY_M)
+            assert np.all(pose.high[:3] >= WAY_M)
+    assert held.guarantee.intact
+    assert np.all(widths[1] <= 1.1 * widths[0])
+
+
+def test_a_place_is_held_only_where_standing_is_declared() -> None:
+    """How far a robot moves while it stands says nothing without when that is."""
+    with pytest.raises(ValidationError, match="standstill_way_m"):
+        FilterConfig(standstill_way_m=0.001)
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
