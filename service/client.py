@@ -22,9 +22,10 @@ from estimator.bounded_pose import Anchor, BoundedPose, Guarantee
 from mapper.tile import Tile, compile_tiles
 from mapper.tile_codec import TileFormatError, compile_codec
 from service.copied_map import CopiedMap
+from service.digest import DigestPart
 from service.map_file import save_tiles
 from service.map_repair import MapRepair, read_tile
-from service.messages import AnchorMessage, DigestPart, MalformedMessage, PoseMessage, TileId, read, read_plain
+from service.messages import AnchorMessage, MalformedMessage, PoseMessage, TileId, read, read_plain
 from service.session import ended_callback, open_session, session_config
 from service.topics import ANCHOR, DIGEST, HEALTH, INFO, POSE, ROOT, split_key, submap_of_anchor
 

@@ -10,18 +10,8 @@ from typing import Any
 
 from estimator.bounded_pose import Anchor, BoundedPose, Guarantee
 from mapper.tile import Tile, content_crc, join
-from service.messages import (
-    AnchorMessage,
-    DigestAssembly,
-    DigestEntry,
-    DigestPart,
-    MalformedMessage,
-    PoseMessage,
-    TileId,
-    TileNote,
-    digest_root,
-    guarantee_from,
-)
+from service.digest import DigestAssembly, DigestEntry, DigestPart, digest_root
+from service.messages import AnchorMessage, MalformedMessage, PoseMessage, TileId, TileNote, guarantee_from
 from service.rivals import FollowedRun
 
 

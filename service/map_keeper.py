@@ -16,8 +16,9 @@ from estimator.bounded_pose import INTACT, Anchor, Guarantee
 from mapper.store import Place, StoreError, Submap, TileRow, TileStore
 from mapper.store_check import Findings, open_store
 from mapper.tile import Tile, join
+from service.digest import DigestEntry
 from service.health import Health
-from service.messages import DigestEntry, guarantee_of, guarantee_text, write_anchor
+from service.messages import guarantee_of, guarantee_text, write_anchor
 from service.published_map import EarlierSubmap
 
 OPENING_S = 1.0

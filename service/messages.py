@@ -1,12 +1,11 @@
-"""What the JSON messages say: pose, anchor, digest, and the note on each tile. Writing and reading side by side.
+"""What the JSON messages say: pose, anchor, and the note on each tile. Writing and reading side by side.
 
-docs/wire.md describes them for other programs. Unknown keys are ignored, so that later versions may add some; whatever
-else doesn't fit is refused with `MalformedMessage`. A bound that is infinite is `null`.
+docs/wire.md describes them for other programs; the digest stands in digest.py. Unknown keys are ignored, so that later
+versions may add some; whatever else doesn't fit is refused with `MalformedMessage`. A bound that is infinite is `null`.
 """
 
 import json
-import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from math import isfinite
 from typing import Annotated, Any, NamedTuple, TypeVar
 
@@ -20,14 +19,10 @@ from estimator.inconsistency import Fault
 
 MAX_BYTES = 1 << 18
 """Longer messages are refused unread."""
-DIGEST_PART_TILES = 1000
-"""Tiles that one message of a digest lists: below 48 KiB, beyond which a slow link loses fragments."""
 
-_WIRE = ConfigDict(extra="ignore", allow_inf_nan=False, strict=True, defer_build=True)
-_Crc = Annotated[int, Field(ge=0, lt=2**32)]
-_Count = Annotated[int, Field(ge=0)]
-_Index = Annotated[int, Field(ge=-(2**31), lt=2**31)]
-_Name = Annotated[str, Field(min_length=1, max_length=64)]
+WIRE = ConfigDict(extra="ignore", allow_inf_nan=False, strict=True, defer_build=True)
+Count = Annotated[int, Field(ge=0)]
+Name = Annotated[str, Field(min_length=1, max_length=64)]
 _Bounds6 = Annotated[list[float | None], Field(min_length=6, max_length=6)]
 _Numbers3 = Annotated[list[float], Field(min_length=3, max_length=3)]
 _Bounds4 = Annotated[list[float | None], Field(min_length=4, max_length=4)]
@@ -46,21 +41,7 @@ class TileId(NamedTuple):
     iy: int
 
 
-class DigestEntry(NamedTuple):
-    """One tile of the robot's map: where, and the CRC-32 of its published content."""
-
-    submap: _Count
-    ix: _Index
-    iy: _Index
-    crc: _Crc
-
-    @property
-    def tile(self) -> TileId:
-        """Which tile."""
-        return TileId(self.submap, self.ix, self.iy)
-
-
-@dataclass(frozen=True, slots=True, config=_WIRE)
+@dataclass(frozen=True, slots=True, config=WIRE)
 class GuaranteeMessage:
     """Do the bounds hold?"""
 
@@ -74,7 +55,7 @@ class GuaranteeMessage:
     contradicted_ns: int | None = None
 
 
-@dataclass(frozen=True, slots=True, config=_WIRE)
+@dataclass(frozen=True, slots=True, config=WIRE)
 class EllipsoidMessage:
     """A PlanarEllipsoid."""
 
@@ -84,7 +65,7 @@ class EllipsoidMessage:
     shape: Annotated[list[_Numbers3], Field(min_length=3, max_length=3)]
 
 
-@dataclass(frozen=True, slots=True, config=_WIRE)
+@dataclass(frozen=True, slots=True, config=WIRE)
 class PoseMessage:
     """A BoundedPose."""
 
@@ -94,7 +75,7 @@ class PoseMessage:
     high: _Bounds6
     guarantee: GuaranteeMessage
     ellipsoid: EllipsoidMessage | None = None
-    epoch: _Name | None = None
+    epoch: Name | None = None
     """Of the run whose pose it is; absent in files, and of earlier versions."""
 
     @classmethod
@@ -119,7 +100,7 @@ class PoseMessage:
         return BoundedPose(self.earliest_ns, self.latest_ns, low, high, guarantee_from(self.guarantee), ellipsoid)
 
 
-@dataclass(frozen=True, slots=True, config=_WIRE)
+@dataclass(frozen=True, slots=True, config=WIRE)
 class AnchorMessage:
     """An Anchor."""
 
@@ -129,7 +110,7 @@ class AnchorMessage:
     low: _Bounds4
     high: _Bounds4
     guarantee: GuaranteeMessage
-    epoch: _Name | None = None
+    epoch: Name | None = None
     """Of the run that tells it; absent in stores and files, and of earlier versions."""
 
     @classmethod
@@ -145,36 +126,19 @@ class AnchorMessage:
         return Anchor(*origin, low, high, guarantee_from(self.guarantee))
 
 
-@dataclass(frozen=True, slots=True, config=_WIRE)
+@dataclass(frozen=True, slots=True, config=WIRE)
 class TileNote:
     """What accompanies a tile, as Zenoh attachment."""
 
-    epoch: _Name
+    epoch: Name
     """Which run of the publisher: tiles of different epochs must not be joined."""
-    version: _Count
+    version: Count
     """Counts the published changes of this tile."""
     guarantee: GuaranteeMessage
     released_ns: int | None = None
     """Monotonic clock of the robot's host when the update's last sample had been read; absent in answers."""
     beams_until_ns: int | None = None
     """No beam in the tile's present cells is newer; None: not known."""
-
-
-@dataclass(frozen=True, slots=True, config=_WIRE)
-class DigestPart:
-    """One message of a digest: what the robot's map holds. `parts` is 0 where nothing changed since it was listed."""
-
-    epoch: _Name
-    sequence: _Count
-    final: bool
-    """The run has ended in order, and this is all of it."""
-    tiles: _Count
-    """Tiles in all."""
-    root: _Crc
-    """CRC-32 over all entries: who has the same root has the same map."""
-    part: _Count
-    parts: Annotated[int, Field(ge=0, le=10_000)]
-    entries: Annotated[list[DigestEntry], Field(max_length=DIGEST_PART_TILES)]
 
 
 _ADAPTERS: dict[type, TypeAdapter[Any]] = {}
@@ -304,47 +268,6 @@ def write_anchor(anchor: Anchor, epoch: str | None = None) -> bytes:
 def read_anchor(data: bytes) -> Anchor:
     """An anchor, or MalformedMessage."""
     return read(AnchorMessage, data).anchor()
-
-
-def digest_root(entries: Iterable[DigestEntry]) -> int:
-    """CRC-32 over the entries in rising order, each as four little-endian 64-bit integers."""
-    rows = np.array(sorted(entries), dtype="<i8").reshape(-1, 4)
-    return zlib.crc32(rows.tobytes())
-
-
-def digest_parts(
-    epoch: str, sequence: int, final: bool, entries: Sequence[DigestEntry], root: int
-) -> Iterator[DigestPart]:
-    """The messages that list everything; an empty map is one part without entries."""
-    parts = max(1, -(-len(entries) // DIGEST_PART_TILES))
-    for part in range(parts):
-        listed = list(entries[part * DIGEST_PART_TILES : (part + 1) * DIGEST_PART_TILES])
-        yield DigestPart(epoch, sequence, final, len(entries), root, part, parts, listed)
-
-
-class DigestAssembly:
-    """Puts the parts of one listing together; a newer listing pushes an unfinished one out."""
-
-    def __init__(self) -> None:
-        self._listing: tuple[str, int, int] | None = None
-        self._parts: dict[int, list[DigestEntry]] = {}
-
-    def add(self, part: DigestPart) -> dict[TileId, int] | None:
-        """The CRC of every tile once the listing is complete and its root fits; None before."""
-        listing = (part.epoch, part.sequence, part.parts)
-        if listing != self._listing:
-            self._listing, self._parts = listing, {}
-        if part.part >= part.parts:
-            return None
-        self._parts[part.part] = part.entries
-        if len(self._parts) < part.parts:
-            return None
-        entries = [entry for number in range(part.parts) for entry in self._parts[number]]
-        self._listing, self._parts = None, {}
-        crcs = {entry.tile: entry.crc for entry in entries}
-        if len(crcs) != part.tiles or digest_root(entries) != part.root:
-            raise MalformedMessage("the digest's parts don't fit together")
-        return crcs
 
 
 def _finite(bounds: NDArray[np.float64]) -> list[float | None]:

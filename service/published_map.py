@@ -10,7 +10,8 @@ from typing import NamedTuple, TypeAlias
 
 from mapper.tile import Flags, Tile, compile_tiles, content_crc, snap_outward
 from mapper.tile_growth import compile_growth, grown
-from service.messages import DigestEntry, GuaranteeMessage, TileId
+from service.digest import DigestEntry
+from service.messages import GuaranteeMessage, TileId
 from service.topics import Kind
 
 Recall: TypeAlias = Callable[[TileId], Tile | None]

@@ -9,14 +9,12 @@ from typing import Any, NamedTuple
 from estimator.bounded_pose import INTACT, Anchor
 from mapper.tile import Tile
 from mapper.tile_codec import encode
+from service.digest import DigestPart, digest_parts, digest_root
 from service.map_update import MAP_FRAME, MapUpdate
 from service.messages import (
     AnchorMessage,
-    DigestPart,
     MalformedMessage,
     TileId,
-    digest_parts,
-    digest_root,
     guarantee_message,
     read,
     write,

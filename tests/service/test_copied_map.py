@@ -7,7 +7,8 @@ import numpy as np
 from estimator.bounded_pose import INTACT, Guarantee, Status
 from mapper.tile import Tile, content_crc, join
 from service.copied_map import CopiedMap
-from service.messages import DigestEntry, DigestPart, TileId, TileNote, digest_root, guarantee_message
+from service.digest import DigestEntry, DigestPart, digest_root
+from service.messages import TileId, TileNote, guarantee_message
 
 VOID = Guarantee(5, "gps", 0.1, "m", Status.DEGRADED, contradicted_ns=8)
 RESTORED = Guarantee(5, "gps", 0.1, "m", Status.NOMINAL, restored_ns=20, contradicted_ns=8)

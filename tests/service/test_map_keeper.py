@@ -20,9 +20,10 @@ from mapper.store import Submap
 from mapper.store_check import open_store
 from mapper.tile import Tile, join, snap_outward
 from service import map_keeper
+from service.digest import DigestEntry
 from service.health import Health
 from service.map_keeper import STORE, STORED_MAP, EarlierSubmaps, MapKeeper
-from service.messages import DigestEntry, guarantee_of, read_anchor
+from service.messages import guarantee_of, read_anchor
 
 PATIENCE_S = 30.0
 QUICK_S = 0.02

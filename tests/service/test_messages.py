@@ -11,16 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from estimator.bounded_pose import Anchor, BoundedPose, Guarantee, PlanarEllipsoid
+from service.digest import DIGEST_PART_TILES, DigestAssembly, DigestEntry, DigestPart, digest_parts, digest_root
 from service.messages import (
-    DIGEST_PART_TILES,
-    DigestAssembly,
-    DigestEntry,
-    DigestPart,
     GuaranteeMessage,
     MalformedMessage,
     TileNote,
-    digest_parts,
-    digest_root,
     guarantee_message,
     read,
     read_anchor,

@@ -18,18 +18,10 @@ from drivers.errors import LinkError
 from estimator.bounded_pose import INTACT, Anchor, BoundedPose, Guarantee
 from mapper.tile import Tile, changed, content_crc, join, snap_outward, unseen_tile
 from mapper.tile_codec import decode
+from service.digest import DigestEntry, DigestPart, digest_root
 from service.loopback import free_locator
 from service.map_update import MapUpdate
-from service.messages import (
-    DigestEntry,
-    DigestPart,
-    TileNote,
-    digest_root,
-    guarantee_from,
-    read,
-    read_anchor,
-    read_pose,
-)
+from service.messages import TileNote, guarantee_from, read, read_anchor, read_pose
 from service.publish_config import PublishConfig
 from service.publisher import Publisher
 from service.session import open_session, with_send_buffer
