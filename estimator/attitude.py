@@ -222,10 +222,9 @@ class AttitudeChain:
     def learn_bias(self, begin_ns: int, end_ns: int, used_until_ns: int) -> None:
         """The robot stood still: what packets of [begin, end] measured since the last call was bias."""
         packets, gyro = self.packets, self.gyro
-        error = gyro.noise + self._still_rate * (1.0 + gyro.scale) + gyro.scale * gyro.most_bias
         off, off_ns = bias_at_rest(
-            packets.numbers, packets.rates, packets.begin, packets.end, begin_ns, end_ns, used_until_ns, error,
-            gyro.bias_drift, self.bias,
+            packets.numbers, packets.rates, packets.begin, packets.end, begin_ns, end_ns, used_until_ns,
+            self._still_rate, tuple(gyro), self.bias,
         )  # fmt: skip
         if off_ns:
             self._journal.report("gyro", off_ns, off, "rad/s")
@@ -277,11 +276,9 @@ class AttitudeChain:
         longest = up((packet.stamp.latest_ns - time_ns) * 1e-9)
         varied = np.empty(3)
         for axis, rate in enumerate(packet.rate):
-            error = (
-                self.gyro.noise + self.gyro.most_bias + self.gyro.scale * (self.gyro.most_rate + self.gyro.most_bias)
-            )
             most = self.gyro.most_rate
             if not isnan(rate):
+                error = self.gyro.noise + self.gyro.most_bias + self.gyro.scale * max(abs(rate), most)
                 most = min(most, up(up(abs(rate) + error) + up(self.gyro.most_acceleration * longest)))
             varied[axis] = up(most * gap)
         moved = np.full(3, UNKNOWN_TILT)
@@ -308,15 +305,17 @@ def bias_at_rest(
     begin_ns: int,
     end_ns: int,
     used_until_ns: int,
-    error: float,
-    drift: float,
+    still: float,
+    bounds: tuple[float, ...],
     bias: NDArray[np.float64],
 ) -> tuple[float, int]:
     """Contract bias [3, 2] by what packets in [begin_ns, end_ns], after `used_until_ns`, measured of a robot at rest.
 
-    bias = measured ± error, some time ago: wider by the drift since then. By how much the first of them contradicts
-    it, and the middle of its stamp; else 0, 0.
+    bias = measured ± (still + noise + scale error), some time ago: wider by the drift since then. The scale error is
+    that of the reading or of what is read, bias and all. `bounds`: GyroBounds as a plain tuple. By how much the first
+    of them contradicts it, and the middle of its stamp; else 0, 0.
     """
+    gyro = GyroBounds(*bounds)
     now_ns = numbers[(end - 1) % REMEMBERED, LATEST_NS]
     off, off_ns = 0.0, 0
     for k in range(end - 1, begin - 1, -1):
@@ -325,11 +324,13 @@ def bias_at_rest(
             break
         if packet[LATEST_NS] > end_ns:
             continue
-        aged = up(up(error + up(drift * ((now_ns - packet[BEGAN_NS]) * 1e-9))) * (1.0 + 1e-12))
+        aged = up(gyro.bias_drift * up((now_ns - packet[BEGAN_NS]) * 1e-9))
         for axis in range(3):
             if isnan(rate[axis]):
                 continue
-            narrowed = meet((bias[axis, 0], bias[axis, 1]), widen((rate[axis], rate[axis]), aged))
+            read = up(up(abs(rate[axis]) + gyro.noise) / down(1.0 - gyro.scale))
+            aged_error = up(aged + up(up(still + gyro.noise) + up(gyro.scale * max(read, still))))
+            narrowed = meet((bias[axis, 0], bias[axis, 1]), widen((rate[axis], rate[axis]), aged_error))
             if not is_empty(narrowed):
                 bias[axis, 0], bias[axis, 1] = narrowed
             elif off_ns == 0:

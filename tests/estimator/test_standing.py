@@ -109,6 +109,22 @@ def test_a_bias_that_drifts_at_its_bound_is_inside(sign: float) -> None:
     assert pose.guarantee.intact
 
 
+def test_a_scale_error_is_that_of_all_that_is_read() -> None:
+    """The bias is at its bound, noise adds to it, what is read is too large by its scale error: no contradiction."""
+    scale, bias, noise = 0.1, radians(1.1), radians(0.4)
+    imu = replace(
+        declared()[1].imu, latency_ms=(0.0, 0.0), gyro_bias_bound_dps=1.1, gyro_noise_bound_dps=0.4,
+        gyro_scale_bound=scale,
+    )  # fmt: skip
+    pose = standing(imu)
+    for k in range(500):
+        read(pose, k, gyro=(0.0, 0.0, (bias + noise) / (1.0 - scale) * (1.0 - 1e-12)))
+    now = pose.latest()
+    assert now is not None
+    assert pose.guarantee.intact
+    assert now.low[5] <= 0.0 <= now.high[5]
+
+
 @pytest.mark.parametrize("axis", [0, 1])
 def test_an_acceleration_across_gravity_hides_in_its_norm(axis: int) -> None:
     """Felt: exactly g, tilted by what the robot's own acceleration may add. It's no proof that the robot is tilted."""
