@@ -31,7 +31,9 @@ def replay(
     poses: Path | None = None,
     ports: bool = False,
 ) -> int:
-    """Put a capture's bytes through the same drivers, filter and mapper: the same map again, bit for bit.
+    """Put a capture's bytes through the same drivers, filter and mapper: the same map each time, bit for bit.
+
+    It is the drive's own map, unless the service was too busy then to take every reading (health: `dropped`).
 
     Parameters
     ----------

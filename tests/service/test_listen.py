@@ -52,12 +52,16 @@ def emulated(**links: Path) -> Iterator[None]:
 
 @pytest.fixture
 def listen(capfd: pytest.CaptureFixture[str]) -> Listen:
-    """Lines and counts of a run that must succeed."""
+    """Lines and counts of a run that must succeed; on a starved machine it is given more time."""
 
-    def run(*arguments: object) -> tuple[list[dict[str, Any]], str]:
-        assert run_command(["listen", *map(str, arguments)]) == 0
-        output, counts = capfd.readouterr()
-        return [json.loads(line) for line in output.splitlines()], counts
+    def run(*arguments: object, seconds: int, enough: int) -> tuple[list[dict[str, Any]], str]:
+        for patience in (seconds, 4 * seconds, 16 * seconds):
+            code = run_command(["listen", *map(str, arguments), "--seconds", str(patience)])
+            output, counts = capfd.readouterr()
+            lines = output.splitlines()
+            if code == 0 and len(lines) >= enough:
+                return [json.loads(line) for line in lines], counts
+        raise AssertionError(counts)
 
     return run
 
@@ -65,8 +69,7 @@ def listen(capfd: pytest.CaptureFixture[str]) -> Listen:
 def test_the_scanner_is_found_and_streams(listen: Listen, tmp_path: Path) -> None:
     """From power-on at 9600 baud to scans of 181 beams, without writing its EEPROM, in the unit it is set to."""
     with emulated(laser=tmp_path / "laser"):
-        scans, counts = listen("lms", tmp_path / "laser", "--seconds", 4)
-    assert len(scans) > 10
+        scans, counts = listen("lms", tmp_path / "laser", seconds=4, enough=10)
     assert all(len(scan["ranges_m"]) == 181 and scan["kind"] == "scan" for scan in scans)
     stamps = [scan["stamp_ns"] for scan in scans]
     assert stamps == sorted(stamps)
@@ -88,14 +91,12 @@ def test_what_the_scanner_must_be_written_for_is_said(tmp_path: Path, capfd: pyt
 def test_the_other_devices_are_heard_side_by_side(listen: Listen, tmp_path: Path) -> None:
     """The adapter is opened and counters come; packets of all four inertial sensors; fixes with their bounds."""
     with emulated(**{name: tmp_path / name for name in ("encoders", "imu", "gps")}):
-        ticks, _ = listen("encoders", tmp_path / "encoders", *TRACKS, "--seconds", 1)
-        inertial, _ = listen("imu", tmp_path / "imu", "--seconds", 1)
-        fixes, _ = listen("gps", tmp_path / "gps", "--seconds", 2)
-    assert len(ticks) > 20
+        ticks, _ = listen("encoders", tmp_path / "encoders", *TRACKS, seconds=1, enough=20)
+        inertial, _ = listen("imu", tmp_path / "imu", seconds=1, enough=20)
+        fixes, _ = listen("gps", tmp_path / "gps", seconds=2, enough=5)
     assert {(line["left"], line["right"]) for line in ticks} == {(0, 0)}
     sensors = {(line["message"], line["id"]) for line in inertial}
     assert sensors == {("HIGHRES_IMU", 0), ("HIGHRES_IMU", 1), ("HIGHRES_IMU", 2), ("ATTITUDE", 0)}
-    assert len(fixes) > 5
     assert all(fix["quality"] == 4 and min(fix["bound_m"]) > 0 for fix in fixes)
 
 
@@ -115,7 +116,7 @@ def test_a_device_alone_runs_until_ctrl_c_and_takes_its_port_along(listen: Liste
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         assert "Ctrl-C ends it" in process.stderr.readline()
-        fixes, _ = listen("gps", link, "--seconds", 2)
+        fixes, _ = listen("gps", link, seconds=2, enough=1)
         process.send_signal(signal.SIGINT)
         assert process.wait(30) == 0
         assert process.stderr.read() == ""
