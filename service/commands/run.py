@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 TICK_S = 0.5
 SLOW_START_S = 6.0
 STILL_LOADING = (
-    "still loading: a first start makes machine code for this computer, which takes a minute or more (once); "
-    "Ctrl-C ends it"
+    "still loading: this machine is busy, or it is a first start, which makes machine code for this computer (a minute "
+    "or more, once); Ctrl-C ends it"
 )
 SWITCH_S = 0.001
 """So long a thread that wants the interpreter waits for one that is busy; 5 ms would be half of a tile's time."""
