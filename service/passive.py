@@ -33,6 +33,7 @@ _BROKEN = ("bad_crc", "bad_checksum", "bad_frames", "bad_lines")
 
 _CANDUMP_LINE_BYTES = 256
 _CANDUMP = re.compile(rb"\(\d{1,10}\.\d{6,9}\) \S{1,32} [0-9A-Fa-f]{3,8}#|\S{1,32} +[0-9A-Fa-f]{3,8} +\[\d{1,2}\] ")
+_LINE_END = re.compile(rb"[\r\n]")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 C = TypeVar("C")
 
@@ -91,9 +92,12 @@ class EncodersFile:
 
     def receive_data(self, data: bytes) -> list[Timed]:
         """Ticks that `data` completes."""
-        if self._is_candump is None and data:
-            data = data.removeprefix(BOM_UTF8)
-            self._is_candump = data.lstrip().startswith(b"(") or _CANDUMP.search(data) is not None
+        if self._is_candump is None:
+            data, self._partial = self._partial + data, b""
+            if len(data) < _CANDUMP_LINE_BYTES and not _LINE_END.search(data.lstrip()):
+                self._partial = data  # too little to tell
+                return []
+            data = self._told_apart(data)
         if not self._is_candump:
             return [(0, ticks) for ticks in self._protocol.receive_data(data, 0)]
         *lines, self._partial = (self._partial + data).replace(b"\r", b"\n").split(b"\n")
@@ -105,8 +109,20 @@ class EncodersFile:
     def finish(self) -> list[Timed]:
         """The last line, if its end is missing, and a count that was doubted."""
         line, self._partial = self._partial, b""
-        rest = list(self._receive_line(line))
+        if self._is_candump is None:
+            line = self._told_apart(line)
+        rest: list[Timed] = []
+        if self._is_candump:
+            rest += self._receive_line(line)
+        else:
+            rest += [(0, ticks) for ticks in self._protocol.receive_data(line, 0)]
         return rest + [(ticks.stamp.mid_ns if self._is_candump else 0, ticks) for ticks in self._protocol.finish()]
+
+    def _told_apart(self, begin: bytes) -> bytes:
+        """Which of the two is it? From the first bytes, which come back without an editor's mark."""
+        begin = begin.removeprefix(BOM_UTF8)
+        self._is_candump = begin.lstrip().startswith(b"(") or _CANDUMP.search(begin) is not None
+        return begin
 
     def _receive_line(self, line: bytes) -> Iterator[Timed]:
         if not line.strip():

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from drivers.gps_nmea.codec import serialise
-from drivers.samples import Sample
+from drivers.samples import Sample, WheelTicks
 from drivers.sick_lms.telegrams import Command, request
 from drivers.track_encoders.codec import parse_candump_line, serialise_slcan
 from service.cli import run_command
@@ -131,6 +131,18 @@ def test_a_log_that_went_through_an_editor_loses_no_line(
     (tmp_path / "dbc").write_bytes(b"\xef\xbb\xbf" + DBC.read_bytes())
     ticks, counts = decode("encoders", tmp_path / "log", "--dbc", tmp_path / "dbc", *TRACKS[2:])
     assert ([tick["left"] for tick in ticks], count_of("bad_lines", counts)) == ([0, 1, 2, 3, 4], 0)
+
+
+def test_a_log_through_a_pipe_is_recognised_by_its_first_line_not_by_its_first_bytes() -> None:
+    """A read may give any part of a line; slcan text is told apart as well."""
+    shown = b"\xef\xbb\xbf" + b"".join(b"  can0  181   [4]  0%d 00 02 00\n" % n for n in range(5))
+    slcan = b"\r" + b"".join(serialise_slcan(tracks_frame(n, 2)) for n in range(5))
+    for data in (shown, slcan, shown[:-1], slcan[:-1]):
+        file = EncodersFile(encoders_config("TRACKS.LEFT", "TRACKS.RIGHT"), read_dbc(DBC))
+        got = [ticks for n in range(len(data)) for _, ticks in file.receive_data(data[n : n + 1])]
+        got += [ticks for _, ticks in file.finish()]
+        expected = 4 if data == slcan[:-1] else 5
+        assert [ticks.left for ticks in got if isinstance(ticks, WheelTicks)] == list(range(expected))
 
 
 @pytest.mark.parametrize(
