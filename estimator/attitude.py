@@ -72,8 +72,6 @@ class AttitudeChain:
     def predict(self, sample: InertialSample) -> None:
         """rotate -> turn: one node further, at the true time of this gyro packet."""
         packets, tube, stamp, was_level = self.packets, self.tube, sample.stamp, self.level
-        if not packets.heard(sample):
-            return
         if not len(packets):
             self._begin(sample)
             return
@@ -98,6 +96,10 @@ class AttitudeChain:
             self._journal.report("gyro", stamp.mid_ns, self._too_fast(sample.gyro_rps), "rad/s")
         if was_level and not self.level:
             self._journal.counts["attitude_lost"] += 1
+
+    def untold(self, stamp: Stamp) -> InertialSample:
+        """A packet that says only when it was made."""
+        return InertialSample(stamp, "", 0, None, epoch=self.packets.newest_epoch, after_loss=True)
 
     def _too_fast(self, rate: Vector3) -> float:
         """By how much a packet's rate is beyond the declared one, bias left out."""

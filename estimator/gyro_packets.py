@@ -79,6 +79,11 @@ class GyroPackets:
     def __reversed__(self) -> Iterator[Packet]:
         return (self[i] for i in range(len(self) - 1, -1, -1))
 
+    @property
+    def newest_epoch(self) -> int:
+        """0 before the first."""
+        return int(self.numbers[(self.end - 1) % REMEMBERED, EPOCH])
+
     def heard(self, sample: InertialSample) -> bool:
         """Is this of the gyroscope that is used? Else it is counted."""
         source = (sample.message, sample.sensor_id)

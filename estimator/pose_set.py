@@ -28,6 +28,7 @@ from estimator.attitude import EARTH_YAW, MAP_YAW, AttitudeChain
 from estimator.bounded_pose import Anchor, PlanarEllipsoid
 from estimator.config import FilterConfig, RobotConfig, SetName
 from estimator.ellipsoidal_position import EllipsoidalPosition
+from estimator.gyro_silence import GyroSilence
 from estimator.inconsistency import Journal
 from estimator.position import EARTH, MAP, NO_EPOCH, PositionChain
 from estimator.relaxed_anchoring import RelaxedAnchoring
@@ -71,6 +72,7 @@ class PoseSet:
         self._standstill = Standstill(config, self._attitude, self._position)
         anchoring = RelaxedAnchoring if config.wrong_fixes else Anchoring
         self._anchoring = anchoring(gps, self._attitude, self._position, self.journal)
+        self._silence = GyroSilence()
         self._tilts: deque[InertialSample] = deque(maxlen=PENDING)
         self._ticks: deque[WheelTicks] = deque(maxlen=PENDING)
         self._fixes: deque[Fix] = deque(maxlen=PENDING)
@@ -108,6 +110,9 @@ class PoseSet:
         if isinstance(sample, InertialSample):
             self._accept_inertial(sample)
         elif isinstance(sample, WheelTicks):
+            if self._silence.step_by_count(sample.stamp):
+                self.journal.counts["gyro_silent"] += 1
+                self._attitude.predict(self._attitude.untold(sample.stamp))
             self._take_in_order(sample)
         elif "gps" in self.ignored:
             return
@@ -122,7 +127,11 @@ class PoseSet:
 
     def _accept_inertial(self, sample: InertialSample) -> None:
         """A gyro packet is a step, tilt and accelerometers correct. What is ignored counts as not measured."""
-        turns = any_measured(sample.gyro_rps)
+        turns = any_measured(sample.gyro_rps) and self._attitude.packets.heard(sample)
+        untold = self._silence.ends(sample.stamp) if turns else self._silence.step_by_board(sample.stamp)
+        if untold:
+            self.journal.counts["gyro_silent"] += 1
+            sample, turns = replace(sample, gyro_rps=ABSENT3, after_loss=True), True
         if self.ignored:
             held_up = "imu_latency" in self.ignored and "imu_clock" not in self.ignored
             sample = replace(
