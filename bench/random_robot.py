@@ -301,7 +301,7 @@ def _timing(random: np.random.Generator, least_hz: float, most_hz: float, most_w
         silent = 0.0, float(random.uniform(0.0, 4.0))
     elif chance < 0.3:
         begin = float(random.uniform(0.5, 10.0))
-        silent = begin, begin + spread(random, 0.2, 5.0)
+        silent = begin, begin + spread(random, 0.2, 20.0)
     return Timing(
         period_s=1.0 / spread(random, least_hz, most_hz),
         jitter=float(random.choice([0.0, 0.05])),

@@ -39,6 +39,10 @@ from estimator.tube import poses_between
 
 PENDING = 4096
 """Samples that may wait for the chain they depend on; the oldest are dropped."""
+COUNTS_SILENT_NS = 3_000_000_000
+"""Without counts for so long, a set goes on without them;"""
+UNTOLD_STEP_NS = 50_000_000
+"""... in steps of no less than this."""
 HELD_UP_NS = 1_000_000_000
 """So late may packets come that come later than declared; the board's clock then says how far apart they were."""
 
@@ -77,6 +81,8 @@ class PoseSet:
         self._ticks: deque[WheelTicks] = deque(maxlen=PENDING)
         self._fixes: deque[Fix] = deque(maxlen=PENDING)
         self._uncounted = 0
+        self._stand_in: PoseSet | None = None
+        """While no counts come: a copy that goes on without, until they do, and tell of all the way since."""
 
     def copy(
         self, counts: Counter[str], ignored: frozenset[str] | None = None, begins_at: Stamp | None = None
@@ -107,6 +113,31 @@ class PoseSet:
 
     def accept(self, sample: WheelTicks | InertialSample | Fix) -> None:
         """Take one sample. One that comes out of order, or can't be used, is dropped and counted."""
+        self._take(sample)
+        if isinstance(sample, WheelTicks):
+            self._stand_in = None
+        elif self._stand_in is not None:
+            self._stand_in._go_on_without_counts(sample)
+            self.journal.contradiction = self.journal.contradiction or self._stand_in.journal.contradiction
+        elif self._since_newest_count_ns(sample.stamp) > COUNTS_SILENT_NS:
+            self.journal.counts["encoders_silent"] += 1
+            self._stand_in = self.copy(Counter(), begins_at=self._begins_at)
+
+    def _go_on_without_counts(self, sample: InertialSample | Fix) -> None:
+        """As `accept`; a packet of the inertial board is a step of the position, of which nothing is told."""
+        self._take(sample)
+        if isinstance(sample, InertialSample) and self._since_newest_count_ns(sample.stamp) >= UNTOLD_STEP_NS:
+            self._take(self._untold(WheelTicks(sample.stamp, 0, 0)))
+
+    def _newest_count(self) -> WheelTicks | None:
+        return self._ticks[-1] if self._ticks else self._position.last_ticks
+
+    def _since_newest_count_ns(self, stamp: Stamp) -> int:
+        """0 before the first one."""
+        newest = self._newest_count()
+        return 0 if newest is None else stamp.earliest_ns - newest.stamp.latest_ns
+
+    def _take(self, sample: WheelTicks | InertialSample | Fix) -> None:
         if isinstance(sample, InertialSample):
             self._accept_inertial(sample)
         elif isinstance(sample, WheelTicks):
@@ -151,7 +182,7 @@ class PoseSet:
 
     def _take_in_order(self, ticks: WheelTicks) -> None:
         """Readings go back neither in their middles nor surely. Ignored ones count as those of a restarted counter."""
-        newest = self._ticks[-1] if self._ticks else self._position.last_ticks
+        newest = self._newest_count()
         if newest is not None and (
             ticks.stamp.mid_ns < newest.stamp.mid_ns or ticks.stamp.latest_ns < newest.stamp.earliest_ns
         ):
@@ -205,7 +236,8 @@ class PoseSet:
         """Poses can be given for stretches of time that end by here."""
         if not self._attitude.zeroed:
             return None
-        return min(self._position.tube.newest_ns, self._attitude.tube.newest_ns)
+        now = self._stand_in or self
+        return min(now._position.tube.newest_ns, now._attitude.tube.newest_ns)
 
     @property
     def settled_ns(self) -> int | None:
@@ -220,7 +252,8 @@ class PoseSet:
         """... and that begin no earlier than here."""
         if not self.begun:
             return None
-        places, turns = self._position.tube, self._attitude.tube
+        now = self._stand_in or self
+        places, turns = now._position.tube, now._attitude.tube
         return int(max(places.times[places.begin, 1], turns.times[turns.begin, 1]))
 
     def poses_over(
@@ -232,7 +265,8 @@ class PoseSet:
         on_earth: bool = False,
     ) -> int:
         """Boxes [m, 6] over m stretches of time; how many of them are not inside [oldest_ns, horizon_ns] (NaN)."""
-        p, t = self._position.tube, self._attitude.tube
+        now = self._stand_in or self
+        p, t = now._position.tube, now._attitude.tube
         place, yaw = (EARTH.start, EARTH_YAW) if on_earth else (MAP.start, MAP_YAW)
         return poses_between(
             p.times, p.box, p.swing, p.begin, p.end, t.times, t.box, t.swing, t.begin, t.end,
@@ -241,7 +275,7 @@ class PoseSet:
 
     def ellipsoid(self, on_earth: bool) -> PlanarEllipsoid | None:
         """(x, y, yaw) at the newest encoder reading as an ellipsoid, where there is one."""
-        return self._position.ellipsoid(on_earth)
+        return (self._stand_in or self)._position.ellipsoid(on_earth)
 
     @property
     def anchor(self) -> Anchor | None:
@@ -254,6 +288,7 @@ class PoseSet:
         self._position.join(other._position)
         self._anchoring.join(other._anchoring)
         self._standstill.forget_place()
+        self._stand_in = None
 
 
 def any_measured(axes: tuple[float, ...]) -> bool:
