@@ -61,6 +61,11 @@ class Anchoring:
         self._remembered = 0
         self._anchor = np.array([[-ANYWHERE_M, ANYWHERE_M]] * 3 + [[-UNKNOWN_YAW, UNKNOWN_YAW]])
 
+    def begin(self, fix: Fix) -> None:
+        """The first fix is the origin on Earth, used or not: so hypotheses that can't use the same ones share it."""
+        if self._plane is None:
+            self._plane = TangentPlane(fix.lat_deg, fix.lon_deg, fix.alt_m)
+
     def correct(self, fix: Fix) -> None:
         """Contract the newest pose, in the map and on Earth, and the anchor that ties the two.
 
@@ -73,8 +78,8 @@ class Anchoring:
         if i < places.begin or min(a, around) < turns.begin or b >= turns.end:
             self._journal.counts["fix_too_old"] += 1
             return
-        if self._plane is None:
-            self._plane = TangentPlane(fix.lat_deg, fix.lon_deg, fix.alt_m)
+        self.begin(fix)
+        assert self._plane is not None
         antenna = self._plane.antenna(fix)
         # from base_link now to the antenna then: along the newest heading, and along the map's axes
         offset, in_map = np.empty((3, 2)), np.empty((3, 2))

@@ -56,7 +56,7 @@ class Filter:
         self._before_newer: list[Reading] = []
         self._since_newer: list[Reading] = []
         self._frame: Stamp | None = None
-        """At which reading the map frame began; known once a fault has been found."""
+        """At which reading the map frame began; known once a fault has been found, and it began."""
 
     # ---------------------------------------------------------------- samples in
 
@@ -73,6 +73,8 @@ class Filter:
             self._explain(contradicted)
         elif self._until_ns is not None and self._now_ns >= self._until_ns:
             self._believe_again()
+        if self._frame is None and len(self._hypotheses) > 1:
+            self._share_frame()
         if self._until_ns is None and (self._newer_ns is None or self._now_ns - self._newer_ns >= self._start_ns):
             self._checkpoint()
 
@@ -120,6 +122,16 @@ class Filter:
             )
         else:
             self.guarantee = replace(self.guarantee, status=status, restored_ns=None)
+
+    def _share_frame(self) -> None:
+        """A fault came before the map did: then it begins for all hypotheses where it first does for one."""
+        self._frame = next((poses.began for poses in self._hypotheses if poses.began is not None), None)
+        if self._frame is not None:
+            self._hypotheses = [
+                poses if poses.began == self._frame else self._driven_again(poses.ignored)
+                for poses in self._hypotheses
+            ]  # fmt: skip
+            self._hypotheses[0].journal.counts = self.counts
 
     def _without_each(self, sensors: Iterable[str]) -> list[PoseSet]:
         """The pose sets that one sensor less makes consistent."""

@@ -145,12 +145,13 @@ class PoseSet:
                 self.journal.counts["gyro_silent"] += 1
                 self._attitude.predict(self._attitude.untold(sample.stamp))
             self._take_in_order(sample)
-        elif "gps" in self.ignored:
-            return
-        elif all(map(isfinite, (sample.lat_deg, sample.lon_deg, sample.alt_m, *sample.bound_m))):
-            self._queue(self._fixes, sample)
-        else:
+        elif not all(map(isfinite, (sample.lat_deg, sample.lon_deg, sample.alt_m, *sample.bound_m))):
             self.journal.counts["fix_unusable"] += 1
+        else:
+            self._anchoring.begin(sample)
+            if "gps" in self.ignored:
+                return
+            self._queue(self._fixes, sample)
         while self._ticks and self._attitude.tube.reaches(self._ticks[0].stamp.latest_ns) and self._may_travel():
             self._travel(self._ticks.popleft())
         while self._fixes and self._position.tube.reaches(self._fixes[0].stamp.latest_ns):
