@@ -97,6 +97,7 @@ class PoseSet:
         new.journal.contradiction = None
         if ignored is not None:
             new.ignored = ignored
+            new._stand_in = None  # the next one will ignore them too
             if "gps" in ignored:
                 new._fixes.clear()
             if ignored & {"tilt", "accelerometer", "imu_clock"}:
@@ -107,7 +108,7 @@ class PoseSet:
 
     def believe_all(self, counts: Counter[str]) -> None:
         """From here on again on the word of all sensors, and the one pose set whose events are counted."""
-        self.ignored, self._begins_at, self.journal.counts = frozenset(), None, counts
+        self.ignored, self._begins_at, self._stand_in, self.journal.counts = frozenset(), None, None, counts
 
     # ---------------------------------------------------------------- samples in
 

@@ -17,14 +17,16 @@ FROM_S, TO_S = 4.0, 11.0
 RATES = Rates(steps_per_fix=5)
 
 
-def drive(law: str, seed: int, fixes: bool, jump_s: float = nan, **changes: str) -> tuple[Filter, NDArray[np.float64]]:
-    """A drive without counts from FROM_S to TO_S, all poses held against the truth; [n, 7] time and widths."""
-    world, (robot, devices) = world_of(law, seed, SECONDS), declared()
+def drive(
+    law: str, seed: int, fixes: bool, to_s: float = TO_S, seconds: float = SECONDS, jump_s: float = nan, **changes: str
+) -> tuple[Filter, NDArray[np.float64]]:
+    """A drive without counts from FROM_S to `to_s`, all poses held against the truth; [n, 7] time and widths."""
+    world, (robot, devices) = world_of(law, seed, seconds), declared()
     poses = Filter(robot, settings(**changes), devices.encoders, devices.imu, devices.gps)
     start, rows = world.pose(world.start_ns), []
 
     def heard(reading: Reading, t_s: float) -> Reading | None:
-        if isinstance(reading, WheelTicks) and FROM_S <= t_s < TO_S:
+        if isinstance(reading, WheelTicks) and FROM_S <= t_s < to_s:
             return None
         if isinstance(reading, Fix) and t_s >= jump_s:
             return replace(reading, alt_m=reading.alt_m + 50.0)
@@ -70,8 +72,11 @@ def test_without_counts_the_place_grows_and_with_them_it_is_as_if_they_had_not_b
     assert silent[:, 3:5].max() < np.radians(2.0)
 
 
-def test_a_fix_that_is_wrong_while_no_counts_come_is_told_at_once() -> None:
-    """Not when they are back."""
-    poses, _ = drive("constant", 1, fixes=True, jump_s=9.0)
+@pytest.mark.parametrize(("to_s", "jump_s"), [(TO_S, 9.0), (40.0, 24.0)])
+def test_a_fix_that_is_wrong_while_no_counts_come_is_told_at_once(to_s: float, jump_s: float) -> None:
+    """Not when they are back; and whoever is suspected, the poses hold."""
+    poses, _ = drive("constant", 1, True, to_s, jump_s + 4.0, jump_s)
     assert poses.guarantee.sensor == "gps"
-    assert poses.faults[0].contradiction.time_ns == world_of("constant", 1, SECONDS).start_ns + 9_000_000_000
+    assert poses.faults[0].suspects == ("gps",)
+    contradicted_ns = poses.faults[0].contradiction.time_ns
+    assert contradicted_ns == world_of("constant", 1, jump_s + 4.0).start_ns + round(jump_s * 1e9)
