@@ -123,12 +123,19 @@ class PoseSet:
         elif self._since_newest_count_ns(sample.stamp) > COUNTS_SILENT_NS:
             self.journal.counts["encoders_silent"] += 1
             self._stand_in = self.copy(Counter(), begins_at=self._begins_at)
+            self._stand_in._go_on_without_counts()
 
-    def _go_on_without_counts(self, sample: InertialSample | Fix) -> None:
-        """As `accept`; a packet of the inertial board is a step of the position, of which nothing is told."""
-        self._take(sample)
-        if isinstance(sample, InertialSample) and self._since_newest_count_ns(sample.stamp) >= UNTOLD_STEP_NS:
-            self._take(self._untold(WheelTicks(sample.stamp, 0, 0)))
+    def _go_on_without_counts(self, sample: InertialSample | Fix | None = None) -> None:
+        """As `accept`; nodes of the attitude are steps of the position, of which nothing is told."""
+        if sample is not None:
+            self._take(sample)
+        turns, newest = self._attitude.tube, self._newest_count()
+        assert newest is not None, "it stands in for counts"
+        first = turns.after(newest.stamp.latest_ns + UNTOLD_STEP_NS)
+        for earliest_ns, latest_ns in turns.times[first : turns.end].tolist():
+            stamp = Stamp(earliest_ns, latest_ns)
+            if self._since_newest_count_ns(stamp) >= UNTOLD_STEP_NS:
+                self._take(self._untold(WheelTicks(stamp, 0, 0)))
 
     def _newest_count(self) -> WheelTicks | None:
         return self._ticks[-1] if self._ticks else self._position.last_ticks
