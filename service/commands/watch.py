@@ -2,6 +2,8 @@
 
 import json
 from pathlib import Path
+from threading import Event
+from time import monotonic
 
 from rich.console import Console
 from rich.live import Live
@@ -12,6 +14,8 @@ from service.lifecycle import stop_on_signals
 from service.output_files import refuse_unwritable, write_text
 
 FINAL_SYNC_S = 5.0
+HEARD_S = 60.0
+"""So long nothing more may come of the map of a robot that is heard: it may be busy, and the link slow."""
 """After the end is asked for, how long to wait until the copy equals the robot's map."""
 
 
@@ -37,7 +41,7 @@ def watch(
     submap
         Write this one of the robot's submaps, as an earlier run left it; by default the newest.
     once
-        Take the present map, save it, and end.
+        Take the present map, save it, and end; with 1 if nothing is heard for 5 s, or nothing more of it for 60.
     report
         Write what was received, and its latencies, to this JSON file at the end.
     """
@@ -46,7 +50,7 @@ def watch(
     warned: str | None = None
     with stop_on_signals() as ended, RemoteMap(connect, robot=robot) as remote:
         if once:
-            synced = remote.wait_complete(FINAL_SYNC_S)
+            synced = _wait_for_all(remote, ended)
         else:
             with Live(_table(remote), console=console, refresh_per_second=2, transient=True) as live:
                 while not ended.wait(0.5):
@@ -84,6 +88,21 @@ def watch(
         )
         return 1
     return 0 if synced else 1
+
+
+def _wait_for_all(remote: RemoteMap, ended: Event) -> bool:
+    """Until the copy is complete; False once nothing more came of it for a while, or at the end."""
+    newest: tuple[int, int] | None = None
+    since_s = monotonic()
+    while not ended.is_set():
+        if remote.wait_complete(0.5):
+            return True
+        stats = remote.stats()
+        if (stats["tiles"], stats["repaired"]) != newest:
+            newest, since_s = (stats["tiles"], stats["repaired"]), monotonic()
+        if monotonic() - since_s >= (HEARD_S if stats["messages"] else FINAL_SYNC_S):
+            break
+    return False
 
 
 def _table(remote: RemoteMap) -> Table:
