@@ -31,6 +31,10 @@ class GyroSilence:
         self._spoke = True
         return ended
 
+    def was_not_used(self) -> None:
+        """The packet that ended it came out of order: the next one's mean reaches back before the last step, too."""
+        self._lasts = True
+
     def step_by_board(self, stamp: Stamp) -> bool:
         """Another packet of the inertial board: is it a step in the gyroscope's place?"""
         self._board_ns = stamp.latest_ns

@@ -183,7 +183,10 @@ class PoseSet:
                 accel_mps2=ABSENT3 if "accelerometer" in self.ignored else sample.accel_mps2,
             )
         if turns:
+            used = self._attitude.packets.end
             self._attitude.predict(sample)
+            if untold and self._attitude.packets.end == used:
+                self._silence.was_not_used()
         if any_measured(sample.tilt_rad) or any_measured(sample.accel_mps2[:2]):
             self._queue(self._tilts, sample)
         while self._tilts and self._attitude.correct_tilt(self._tilts[0]):

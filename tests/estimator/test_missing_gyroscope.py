@@ -137,3 +137,21 @@ def test_the_first_packet_after_a_silence_is_not_taken_for_the_last_step_alone()
     back = [silence.ends(Stamp(ms * millisecond, ms * millisecond)) for ms in (2000, 2010, 2020)]
     assert back == [True, False, False]
     assert not silence.step_by_board(Stamp(2100 * millisecond, 2100 * millisecond))
+
+
+def test_a_packet_that_ends_a_silence_out_of_order_leaves_the_next_one_untold() -> None:
+    """It comes after a tilt reading that was made later: the packet after it tells of more than the step since then."""
+    poses = Filter(declared()[0], settings(), declared()[1].encoders, declared()[1].imu, None)
+
+    def hear(ms: int, gyro: bool) -> None:
+        stamp, rate = Stamp(ms * 1_000_000, ms * 1_000_000), (1e-4, 1e-4, 1e-4)
+        kind = "HIGHRES_IMU" if gyro else "DUAL_AXIS_TILT"
+        poses.accept(InertialSample(stamp, kind, 0, None, gyro_rps=rate if gyro else ABSENT3, tilt_rad=(0.0, 0.0)))
+
+    for ms in range(0, 500, 10):
+        hear(ms, gyro=True)
+    hear(2000, gyro=False)
+    packets = poses._hypotheses[0]._attitude.packets
+    for ms, told in ((1995, False), (2005, False), (2015, True)):
+        hear(ms, gyro=True)
+        assert np.isfinite(packets[len(packets) - 1].rate).all() == told, ms
